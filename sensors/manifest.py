@@ -1,0 +1,299 @@
+"""run.toml: what a pass is, where each sensor sits (docs/formats reference; unknown keys name the nearest known)."""
+
+from __future__ import annotations
+
+import datetime as dt
+import difflib
+import math
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, field_validator, model_validator
+
+GRAVITY = 9.80665  # m/s², standard gravity
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+RunId = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=128)]
+Wheel = Literal["front_right", "front_left", "rear_right", "rear_left"]
+Body = Literal["tractor", "seeder"]
+
+
+class ManifestError(ValueError):
+    """A run.toml that cannot be used; the text says where and how to mend it, in one line."""
+
+
+class Table(BaseModel):
+    """A TOML table of the manifest: strict about its keys, immutable once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Run(Table):
+    id: RunId
+    field: str = ""
+    direction: str = ""
+    repeat: int = 1
+    variant: str = ""
+    date: dt.date
+
+    @field_validator("id")
+    @classmethod
+    def _no_climbing(cls, value: str) -> str:
+        if ".." in value:
+            raise ValueError("must not contain '..'")
+        return value
+
+
+class Line(Table):
+    """Intended AB line: a, b as (lat, lon) in degrees."""
+
+    a: tuple[Finite, Finite]
+    b: tuple[Finite, Finite]
+
+    @field_validator("a", "b")
+    @classmethod
+    def _on_earth(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if not (abs(value[0]) <= 90.0 and abs(value[1]) <= 360.0):
+            raise ValueError("must be latitude (within ±90) and longitude (within ±360) in degrees")
+        return value
+
+
+class Operating(Table):
+    speed: Positive
+    tyre_pressure_mpa: Positive
+
+
+class Tractor(Table):
+    mass: Positive
+    yaw_inertia: Positive
+    front_track: Positive
+    rear_track: Positive
+    front_axle: Positive
+    rear_axle: Positive
+    hitch: Finite
+    cog_height: Positive
+    front_wheel_radius: Positive
+    rear_wheel_radius: Positive
+    driven: Literal["all", "rear"] = "all"
+    roll_centre: NotNegative | None = None  # height above ground of the axis it rolls about; None: at the CoM
+
+
+class Seeder(Table):
+    mass: Positive
+    yaw_inertia: Positive
+    hitch_to_com: Positive
+    com_to_axle: Finite | tuple[Finite, ...]
+    track: Positive | tuple[Positive, ...]
+    cog_height: Positive
+    wheel_radius: Positive
+    draft: NotNegative
+    draft_angle_deg: Finite = 0.0
+    roll_centre: NotNegative | None = None
+
+    @model_validator(mode="after")
+    def _axles_agree(self) -> Seeder:
+        if len(self.axles) == 0 or len(self.axles) != len(self.tracks):
+            raise ValueError("com_to_axle and track must list the same number of axles, at least one")
+        return self
+
+    @property
+    def axles(self) -> tuple[float, ...]:
+        """Each axle's distance behind the CoM, m."""
+        return self.com_to_axle if isinstance(self.com_to_axle, tuple) else (self.com_to_axle,)
+
+    @property
+    def tracks(self) -> tuple[float, ...]:
+        """Each axle's track, m."""
+        track = self.track if isinstance(self.track, tuple) else (self.track,)
+        return track * len(self.axles) if len(track) == 1 else track
+
+
+class Tyre(Table):
+    cornering_stiffness: Positive
+    reference_pressure_mpa: Positive = 0.10
+    pressure_exponent: Finite = 0.5
+    friction: Positive
+    rolling_resistance: NotNegative
+    relaxation_length: NotNegative = 0.0
+
+
+class Tyres(Table):
+    front: Tyre
+    rear: Tyre
+    seeder: Tyre | None = None
+
+
+class Machine(Table):
+    tractor: Tractor
+    seeder: Seeder | None = None
+    tyres: Tyres
+
+    @model_validator(mode="after")
+    def _seeder_has_tyres(self) -> Machine:
+        if (self.seeder is None) != (self.tyres.seeder is None):
+            raise ValueError("[machine.seeder] and [machine.tyres.seeder] go together")
+        return self
+
+
+class Units(Table):
+    accel: Literal["m/s2", "g"] = "m/s2"
+    gyro: Literal["rad/s", "deg/s"] = "rad/s"
+    mag: Literal["uT", "T", "gauss"] = "T"
+    host_time: Literal["ns", "us", "ms", "s"] = "ns"
+    device_time: Literal["ns", "us", "ms", "s"] = "us"
+
+
+class Sensor(Table):
+    """What every sensor has: one source, a raw file of the pass's folder or a topic of another log."""
+
+    file: str | None = None
+    topic: str | None = None
+    columns: dict[str, str] = Field(default_factory=dict)
+    units: Units = Units()
+
+    @field_validator("file")
+    @classmethod
+    def _inside(cls, value: str | None) -> str | None:
+        if value is None:
+            return value
+        path = PurePosixPath(value.replace("\\", "/"))
+        if not value or path.is_absolute() or ".." in path.parts or ":" in path.parts[0] or "\0" in value:
+            raise ValueError("must be a path inside the pass's folder, without '..'")
+        return value
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Sensor:
+        if (self.file is None) == (self.topic is None):
+            raise ValueError("needs either `file` or `topic`")
+        return self
+
+
+
+class Inertial(Sensor):
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    rate: Positive
+    gyro_noise: Positive | None = None  # rad/s/sqrt(Hz)
+    accel_noise: Positive | None = None  # m/s2/sqrt(Hz)
+    gyro_bias: Positive | None = None  # rad/s, 1 sigma
+    accel_bias: Positive | None = None  # m/s2, 1 sigma
+
+
+class Imd(Inertial):
+    kind: Literal["imd"]
+    body: Body
+    position: Vector
+
+
+class Wds(Inertial):
+    kind: Literal["wds"]
+    wheel: Wheel
+    offset: Vector = (0.0, 0.0, 0.0)
+
+
+class Steer(Sensor):
+    kind: Literal["steer"]
+    rate: Positive
+    noise_deg: Positive = 0.1
+    zero_sd_deg: Positive = 0.3
+    scale_sd: Positive = 0.01
+
+
+class Gps(Sensor):
+    kind: Literal["gps"]
+    body: Body = "tractor"
+    position: Vector
+    rate: Positive
+    latency: NotNegative = 0.1  # s, prior of the least delay from validity to arrival
+    latency_sd: Positive = 0.05  # s
+
+
+AnySensor = Annotated[Imd | Wds | Steer | Gps, Field(discriminator="kind")]
+
+
+class Manifest(Table):
+    """One pass. Attribute names are the TOML keys of the format page."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    run: Run
+    line: Line | None = None
+    operating: Operating
+    machine: Machine
+    sensors: dict[str, AnySensor]
+    conditions: dict[str, Any] = Field(default_factory=dict)
+    uncertainty: dict[str, NotNegative] = Field(default_factory=dict)  # "tyres.front.cornering_stiffness" = sd, SI
+
+    @field_validator("sensors")
+    @classmethod
+    def _names(cls, value: dict[str, Any]) -> dict[str, Any]:
+        for name in value:
+            if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]*", name):
+                raise ValueError(f"sensor name {name!r} must be letters, digits, '_' or '-'")
+        return value
+
+    @model_validator(mode="after")
+    def _enough_sensors(self) -> Manifest:
+        bodies = {s.body for s in self.sensors.values() if s.kind == "imd"}
+        if "tractor" not in bodies:
+            raise ValueError("a pass needs at least one IMD with body = \"tractor\"")
+        if self.machine.seeder is not None and "seeder" not in bodies:
+            raise ValueError("a pass with [machine.seeder] needs at least one IMD with body = \"seeder\"")
+        if self.machine.seeder is None and any(getattr(s, "body", "") == "seeder" for s in self.sensors.values()):
+            raise ValueError("a sensor sits on the seeder but there is no [machine.seeder]")
+        if not any(s.kind == "gps" for s in self.sensors.values()):
+            raise ValueError("a pass needs a sensor of kind \"gps\"")
+        return self
+
+    def of_kind(self, kind: str) -> dict[str, Any]:
+        """Sensors of one kind, by name, in the manifest's order."""
+        return {name: s for name, s in self.sensors.items() if s.kind == kind}
+
+
+def parse(text: str, where: str = "run.toml") -> Manifest:
+    """The manifest of a run.toml's text.
+
+    Raises ManifestError, one line: what, where, how to mend.
+    """
+    try:
+        return Manifest.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ManifestError(f"{where}: not valid TOML: {error}") from None
+    except ValidationError as error:
+        raise ManifestError(f"{where}: {_first_line(error)}") from None
+
+
+def read(path: Path) -> tuple[Manifest, str]:
+    """The manifest in a file, and its text."""
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise ManifestError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ManifestError(f"{path}: is not UTF-8 text; save it as UTF-8") from None
+    return parse(text, str(path)), text
+
+
+def _first_line(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part) for part in first["loc"] if part not in ("imd", "wds", "gps", "steer"))
+    if first["type"] == "extra_forbidden":
+        near = difflib.get_close_matches(str(first["loc"][-1]), list(_known_keys(Manifest)), n=1, cutoff=0.5)
+        hint = f"; did you mean `{near[0]}`?" if near else ""
+        return f"{where}: unknown key{hint}"
+    if first["type"] == "missing":
+        return f"{where}: this key is missing"
+    message = first["msg"].removeprefix("Value error, ")
+    value = first.get("input")
+    shown = f" (it is {value!r})" if isinstance(value, int | float | str) and not (isinstance(value, float) and math.isnan(value)) else ""
+    return f"{where}: {message}{shown}" if where else f"{message}{shown}"
+
+
+def _known_keys(table: type[BaseModel]) -> Iterator[str]:
+    for kind in (Manifest, Run, Line, Operating, Machine, Tractor, Seeder, Tyres, Tyre, Imd, Wds, Steer, Gps, Units):
+        for name, info in kind.model_fields.items():
+            yield info.alias or name
