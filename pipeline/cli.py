@@ -1,0 +1,148 @@
+"""The command line: parses, prints, exits; the only module that does.
+
+Every import of the stages happens inside the command that needs it, so that `--help` stays quick.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+FAILED = 1
+WRONG_USE = 2
+NOT_ADEQUATE = 3
+INTERRUPTED = 130
+CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+@click.group(context_settings=CONTEXT)
+@click.version_option(package_name="smts-validate", prog_name="smts-validate")
+def app() -> None:
+    """Is a tractor-and-seeder model adequate? From raw field logs to a verdict with its uncertainty."""
+
+
+def common(command: Command) -> Command:
+    """Give a command the options that every command has: --json and --debug."""
+
+    @click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead of text.")
+    @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+    @wraps(command)
+    def with_common_options(*args: Any, debug: bool, **options: Any) -> Any:
+        if debug:
+            os.environ["SMTS_DEBUG"] = "1"
+        return command(*args, **options)
+
+    return with_common_options  # type: ignore[return-value]
+
+
+def emit(document: Any, as_json: bool, text: Callable[[Any], str]) -> None:
+    """Print a command's result: JSON for machines, or the text that `text` makes of it."""
+    click.echo(json.dumps(document, ensure_ascii=False, allow_nan=False) if as_json else text(document))
+
+
+def progress(message: str) -> None:
+    """Say what is going on, for a person only: on stderr, when it is a terminal."""
+    if sys.stderr.isatty():
+        click.echo(message, err=True)
+
+
+@app.command()
+@click.argument("passes", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("-o", "logs", required=True, type=click.Path(path_type=Path), help="Folder for the logs.")
+@common
+def ingest(passes: tuple[Path, ...], logs: Path, as_json: bool) -> None:
+    """Turn raw PASSES (folders with a run.toml) into logs, <run.id>.mcap in the folder of -o."""
+    from . import console
+    from .run import ingest_pass
+
+    tables = []
+    for folder in passes:
+        progress(f"reading {folder}")
+        tables.append(ingest_pass(folder, logs))
+    emit({"logs": tables}, as_json, console.ingested)
+
+
+@app.command()
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("--manifest", type=click.Path(path_type=Path), help="run.toml for a log that carries none.")
+@common
+def inspect(log: Path, manifest: Path | None, as_json: bool) -> None:
+    """Show what is in a LOG: rates, gaps, clock drift, fix quality."""
+    from . import console
+    from .run import inspect_log
+
+    emit(inspect_log(log, manifest), as_json, console.inspected)
+
+
+@app.command()
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("-o", "out", type=click.Path(path_type=Path), help="Results folder (results/<run.id>).")
+@click.option("--manifest", type=click.Path(path_type=Path), help="run.toml for a log that carries none.")
+@click.option("--require-adequate", is_flag=True, help="Exit with 3 when the verdict is not `adequate`.")
+@common
+def run(log: Path, out: Path | None, manifest: Path | None, require_adequate: bool, as_json: bool) -> None:
+    """Run the whole chain for one pass: LOG is an MCAP log or a raw pass's folder."""
+    from . import console
+    from .run import run_to_folder
+
+    summary = run_to_folder(log, out, manifest, say=progress)
+    emit(summary, as_json, console.ran)
+    _leave_unless_adequate(require_adequate, summary["verdict"]["value"])
+
+
+def _leave_unless_adequate(required: bool, verdict: str) -> None:
+    if required and verdict != "adequate":
+        sys.exit(NOT_ADEQUATE)
+
+
+def main() -> None:
+    """Entry point of `smts-validate`: an error is one line on stderr and an exit status."""
+    try:
+        sys.exit(app.main(prog_name="smts-validate", standalone_mode=False))
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.ctx.get_help() if error.ctx else "", err=True)
+        sys.exit(WRONG_USE)
+    except click.ClickException as error:
+        _complain(error.format_message(), error)
+        sys.exit(WRONG_USE)
+    except (KeyboardInterrupt, click.Abort):
+        _complain("interrupted; nothing half-written is left")
+        sys.exit(INTERRUPTED)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(FAILED)
+    except Exception as error:
+        if os.environ.get("SMTS_DEBUG"):
+            raise
+        _complain(describe(error))
+        sys.exit(FAILED)
+
+
+def describe(error: BaseException) -> str:
+    """One line for an error: its message, and its class where the message would mean nothing without it."""
+    message = " ".join(str(error).split())
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename or 'input or output'}: {error.strerror}"
+    if type(error) in (ValueError, RuntimeError) or type(error).__module__.startswith("smts_validate"):
+        return message or type(error).__name__
+    return f"{type(error).__name__}: {message} (unexpected: run again with --debug for the traceback)"
+
+
+def _complain(message: str, error: click.ClickException | None = None) -> None:
+    context = getattr(error, "ctx", None)
+    where = context.command_path if context else "smts-validate"
+    hint = f" (see `{where} --help`)" if error else ""
+    click.echo(f"{where}: error: {' '.join(message.split())}{hint}", err=True)
+
+
+if __name__ == "__main__":
+    main()

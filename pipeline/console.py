@@ -1,0 +1,87 @@
+"""What the commands say to a person: results as plain values in, text out (the command line prints it)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+Document = dict[str, Any]
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Columns side by side, as wide as their widest cell; numbers to the right."""
+    cells = [[_cell(value) for value in row] for row in rows]
+    widths = [max(len(line[i]) for line in [list(header), *cells]) for i in range(len(header))]
+    lines = ["  ".join(name.ljust(width) for name, width in zip(header, widths, strict=True)).rstrip()]
+    for line in cells:
+        lines.append("  ".join(_aligned(c, w) for c, w in zip(line, widths, strict=True)).rstrip())
+    return "\n".join(lines)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value)
+
+
+def _aligned(cell: str, width: int) -> str:
+    numeric = cell[:1].isdigit() or cell[:1] in "+-"
+    return cell.rjust(width) if numeric else cell.ljust(width)
+
+
+def ingested(document: Document) -> str:
+    """One block a log: its path, its health table, its warnings."""
+    return "\n\n".join(inspected(log) for log in document["logs"])
+
+
+def inspected(document: Document) -> str:
+    """A log's path, run id, health by sensor, and warnings."""
+    lines = [f"{document['log']}: pass {document['run']['id']}"]
+    lines.append(health_table(document["health"]))
+    lines += [_warning(warning) for warning in document["warnings"]]
+    return "\n".join(lines)
+
+
+def health_table(health: Document) -> str:
+    """A line a sensor; the columns are the scalar figures that any of them has."""
+    names = [name for name, entry in health.items() if isinstance(entry, dict)]
+    columns: list[str] = []
+    for name in names:
+        columns += [key for key, value in health[name].items() if key not in columns and _scalar(value)]
+    return table(["sensor", *columns], [[name, *(health[name].get(c) for c in columns)] for name in names])
+
+
+def _scalar(value: Any) -> bool:
+    return value is None or isinstance(value, str | int | float)
+
+
+def _warning(warning: Document) -> str:
+    where = ", ".join(str(warning[k]) for k in ("sensor", "file") if warning.get(k))
+    row = f", row {warning['row']}" if warning.get("row") is not None else ""
+    return f"warning: {where}{row}: {warning['what']}; {warning['effect']}"
+
+
+def ran(document: Document) -> str:
+    """Verdict with reasons, headline discrepancies, and the report to open."""
+    verdict = document["verdict"]
+    lines = [f"verdict ({verdict['scope']} {document['run']}): {verdict['value']}"]
+    lines += [f"  because {reason}" for reason in verdict["reasons"]]
+    for name, entry in document["discrepancy"].items():
+        lines.append(discrepancy(name, entry))
+    lines.append(f"warnings: {len(document['warnings'])}")
+    lines.append(f"report: {document['report']}")
+    return "\n".join(lines)
+
+
+def discrepancy(name: str, entry: Document) -> str:
+    """`trajectory: 4.2 % (interval 2.8 to 6.0 %; tractor 3.9 %, seeder 4.5 %)`."""
+    low, high = entry["interval"] or (None, None)
+    parts = f"interval {_percent(low)} to {_percent(high)}; " if low is not None else ""
+    parts += f"tractor {_percent(entry['body1'])}, seeder {_percent(entry['body2'])}"
+    return f"discrepancy of {name}: {_percent(entry['combined'])} ({parts})"
+
+
+def _percent(value: float | None) -> str:
+    return "none" if value is None else f"{value:.1f} %"
