@@ -1,0 +1,197 @@
+"""The tables of a pass's result: values in, Arrow tables out, and back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from .fusion.motion import BodyMotion, Motion
+from .sections.view import PlotSeries
+
+Floats = NDArray[np.float64]
+
+X, Y, YAW, V, V_LATERAL, YAW_RATE = range(6)  # order of BodyMotion.covariance
+METADATA_KEY = b"smts"
+
+
+class LineLike(Protocol):
+    """A row's line: a, b in m ENU in the direction of travel."""
+
+    a: Floats
+    b: Floats
+
+    def project(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Chainage s along the line from a, and deviation n to its left, m."""
+        ...
+
+
+class RowLike(Protocol):
+    """A row of a pass: samples start to stop (excluded) of the motion's grid, and its line."""
+
+    @property
+    def index(self) -> int: ...
+    @property
+    def line(self) -> LineLike: ...
+    @property
+    def start(self) -> int: ...
+    @property
+    def stop(self) -> int: ...
+
+
+def row_column(n: int, rows: Sequence[RowLike]) -> NDArray[np.int32]:
+    """(n,) index of the row that each sample belongs to, -1 outside rows."""
+    column = np.full(n, -1, dtype=np.int32)
+    for row in rows:
+        column[row.start : row.stop] = row.index
+    return column
+
+
+def path_columns(x: Floats, y: Floats, rows: Sequence[RowLike]) -> tuple[Floats, Floats]:
+    """(N,) s and n in m of a track relative to each row's own line; NaN outside rows."""
+    s, n = np.full(x.size, np.nan), np.full(x.size, np.nan)
+    for row in rows:
+        part = slice(row.start, row.stop)
+        s[part], n[part] = row.line.project(x[part], y[part])
+    return s, n
+
+
+def heading_column(n: int, rows: Sequence[RowLike]) -> Floats:
+    """(n,) rad heading of the line of the row that each sample belongs to, NaN outside rows."""
+    heading = np.full(n, np.nan)
+    for row in rows:
+        step = np.asarray(row.line.b) - np.asarray(row.line.a)
+        heading[row.start : row.stop] = np.arctan2(step[1], step[0])
+    return heading
+
+
+def sd_across(covariance: Floats, heading: Floats) -> tuple[Floats, Floats]:
+    """(N,) standard deviations in m of a position along `heading` (rad, (N,)) and across it."""
+    c, s = np.cos(heading), np.sin(heading)
+    xx, yy, xy = covariance[:, X, X], covariance[:, Y, Y], covariance[:, X, Y]
+    along = c * c * xx + s * s * yy + 2.0 * s * c * xy
+    across = s * s * xx + c * c * yy - 2.0 * s * c * xy
+    return np.sqrt(np.maximum(along, 0.0)), np.sqrt(np.maximum(across, 0.0))
+
+
+def body_columns(body: BodyMotion, b: str, rows: Sequence[RowLike]) -> dict[str, Floats]:
+    """Columns of trajectory.parquet of one body; b is its suffix ("1" or "2")."""
+    s, n = path_columns(body.x, body.y, rows)
+    sd_s, sd_n = sd_across(body.covariance, heading_column(body.x.size, rows))
+    sd_along, sd_lateral = sd_across(body.covariance, body.yaw)
+    values = {
+        "x": body.x,
+        "y": body.y,
+        "yaw": body.yaw,
+        "s": s,
+        "n": n,
+        "v": body.v,
+        "yaw_rate": body.yaw_rate,
+    }
+    sds = {"x": body.sd(X), "y": body.sd(Y), "yaw": body.sd(YAW), "s": sd_s, "n": sd_n, "v": body.sd(V),
+           "yaw_rate": body.sd(YAW_RATE), "along": sd_along, "lateral": sd_lateral}  # fmt: skip
+    named = {f"{name}{b}": value for name, value in values.items()}
+    return named | {f"sd_{name}{b}": value for name, value in sds.items()}
+
+
+def trajectory_table(motion: Motion, rows: Sequence[RowLike], version: str) -> pa.Table:
+    """trajectory.parquet of the format page, with its metadata key `smts`."""
+    columns: dict[str, NDArray[Any]] = {"t": motion.t, "row": row_column(motion.t.size, rows)}
+    for b, body in zip("12", motion.bodies, strict=False):
+        columns |= body_columns(body, b, rows)
+    columns |= {"steer": motion.steer, "sd_steer": motion.sd_steer}
+    origin = {"lat": motion.origin.lat, "lon": motion.origin.lon, "alt": motion.origin.alt}
+    lines = [
+        {"row": r.index, "a": [float(v) for v in r.line.a], "b": [float(v) for v in r.line.b]} for r in rows
+    ]
+    return with_metadata(pa.table(columns), {"origin": origin, "lines": lines, "version": version})
+
+
+SIMULATED = ("x", "y", "yaw", "v", "yaw_rate")
+
+
+def simulation_table(
+    motion: Motion, rows: Sequence[RowLike], simulated: Mapping[str, Floats], version: str
+) -> pa.Table:
+    """simulation.parquet: the model on the trajectory's grid, without standard deviations, with `window`."""
+    n = motion.t.size
+    nan = np.full(n, np.nan)
+    columns: dict[str, NDArray[Any]] = {"t": motion.t, "row": row_column(n, rows)}
+    for b, _ in zip("12", motion.bodies, strict=False):
+        body = {f"{name}{b}": simulated.get(f"{name}{b}", nan) for name in SIMULATED}
+        s, across = path_columns(body[f"x{b}"], body[f"y{b}"], rows)
+        columns |= body | {f"s{b}": s, f"n{b}": across}
+    columns |= {"steer": simulated.get("steer", nan), "window": simulated.get("window", nan)}
+    return with_metadata(pa.table(columns), {"version": version})
+
+
+def with_metadata(table: pa.Table, metadata: Mapping[str, Any]) -> pa.Table:
+    """The table with `metadata` as JSON under the file's metadata key `smts`."""
+    packed = json.dumps(metadata, sort_keys=True, allow_nan=False).encode()
+    return table.replace_schema_metadata({METADATA_KEY: packed})
+
+
+def plots_table(plots: Mapping[str, Mapping[str, PlotSeries]]) -> pa.Table:
+    """The curves in one long table: plot, series, x, y, low, high (NaN: no band)."""
+    flat = [(plot, name, series) for plot, group in plots.items() for name, series in group.items()]
+    sizes = [series.x.size for _, _, series in flat]
+
+    def joined(parts: list[Floats]) -> Floats:
+        return np.concatenate(parts).astype(np.float64) if parts else np.empty(0)
+
+    def band(values: Floats | None, size: int) -> Floats:
+        return np.full(size, np.nan) if values is None else values
+
+    columns = {
+        "plot": pa.array(
+            [p for (p, _, _), n in zip(flat, sizes, strict=True) for _ in range(n)], pa.string()
+        ),
+        "series": pa.array(
+            [s for (_, s, _), n in zip(flat, sizes, strict=True) for _ in range(n)], pa.string()
+        ),
+        "x": joined([series.x for _, _, series in flat]),
+        "y": joined([series.y for _, _, series in flat]),
+        "low": joined([band(s.low, n) for (_, _, s), n in zip(flat, sizes, strict=True)]),
+        "high": joined([band(s.high, n) for (_, _, s), n in zip(flat, sizes, strict=True)]),
+    }
+    return pa.table(columns)
+
+
+def plots_of_table(table: pa.Table) -> dict[str, dict[str, PlotSeries]]:
+    """The curves back from `plots_table`, in their order."""
+    plot, series = table["plot"].to_pylist(), table["series"].to_pylist()
+    columns = {name: table[name].to_numpy().astype(np.float64) for name in ("x", "y", "low", "high")}
+    edges = [i for i in range(len(plot)) if i == 0 or (plot[i], series[i]) != (plot[i - 1], series[i - 1])]
+    found: dict[str, dict[str, PlotSeries]] = {}
+    for start, stop in pairwise([*edges, len(plot)]):
+        part = {name: values[start:stop] for name, values in columns.items()}
+        banded = bool(np.isfinite(part["low"]).any())
+        curve = PlotSeries(
+            part["x"], part["y"], part["low"] if banded else None, part["high"] if banded else None
+        )
+        found.setdefault(plot[start], {})[series[start]] = curve
+    return found
+
+
+def read_plots(path: Path) -> dict[str, dict[str, PlotSeries]]:
+    """The curves of plots.parquet."""
+    return plots_of_table(pq.read_table(path))
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """One Parquet file, zstd compressed."""
+    pq.write_table(table, path, compression="zstd")
+
+
+def read_columns(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Columns of a Parquet file as arrays, and its metadata under `smts`."""
+    table = pq.read_table(path)
+    packed = (table.schema.metadata or {}).get(METADATA_KEY, b"{}")
+    return {name: table[name].to_numpy() for name in table.column_names}, dict(json.loads(packed))
