@@ -23,7 +23,7 @@ from ..sensors.manifest import Manifest
 from . import result_tables as tables
 from .fusion.motion import Motion
 from .result_tables import RowLike
-from .sections.view import PassView, PlotSeries
+from .report_view import PassView, PlotSeries
 
 Floats = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from .fusion.motion import BodyMotion, Motion
-from .sections.view import PlotSeries
+from .report_view import PlotSeries
 
 Floats = NDArray[np.float64]
 

@@ -131,7 +131,7 @@ def test_damaged_table_is_refused_in_one_line(tmp_path: Path) -> None:
 
 def test_curves_come_back_as_they_were_stored(tmp_path: Path) -> None:
     from smts_validate.pipeline import result_tables
-    from smts_validate.pipeline.sections.view import PlotSeries
+    from smts_validate.pipeline.report_view import PlotSeries
 
     x = np.linspace(0.0, 1.0, 5)
     plots = {

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...sensors.manifest import Manifest
+from ..sensors.manifest import Manifest
 
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
