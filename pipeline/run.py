@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -54,3 +54,10 @@ def describe_log(log: FieldLog) -> dict[str, Any]:
         "health": dict(log.health),
         "warnings": [asdict(warning) for warning in log.warnings],
     }
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Options of one pass that its result depends on."""
+
+    engine: str = "compiled"

@@ -1,0 +1,106 @@
+"""The batch's own machinery: every pass ends in the books once, whatever its worker does."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import batch_samples
+import pytest
+from smts_validate.pipeline.batch import InterruptedBatch, Progress, run_all
+from smts_validate.pipeline.batch_executors import SerialExecutor, WorkerSlots
+
+
+def test_each_pass_is_counted_once_and_failures_are_listed_by_run() -> None:
+    tasks = [batch_samples.task(run) for run in ("bad-2", "c", "a", "bad-1", "b")]
+    result = run_all(tasks, SerialExecutor(), 1, work=batch_samples.fail_when_named_bad)
+    assert (result.total, result.done, result.unchanged) == (5, 3, 0)
+    assert [failure.run for failure in result.failures] == ["bad-1", "bad-2"]
+    assert result.failures[0].reason == "imd1.csv: no rows"
+
+
+def test_progress_counts_up_to_the_total_and_tells_the_time_left() -> None:
+    seen: list[Progress] = []
+    tasks = [batch_samples.task(str(i)) for i in range(7)]
+    run_all(tasks, SerialExecutor(), 1, watch=seen.append, work=batch_samples.succeed)
+    assert [progress.ended for progress in seen] == list(range(1, 8))
+    assert seen[-1].time_left == 0.0
+    assert all(progress.time_left is not None and progress.time_left >= 0.0 for progress in seen)
+
+
+def test_workers_are_processes_of_their_own_and_live_on_between_passes() -> None:
+    tasks = [batch_samples.task(str(i)) for i in range(8)]
+    seen: list[Progress] = []
+    with WorkerSlots(2) as slots:
+        run_all(tasks, slots, 2, watch=seen.append, work=batch_samples.succeed)
+    pids = {progress.last.verdict for progress in seen if progress.last}
+    assert 1 <= len(pids) <= 2
+    assert str(os.getpid()) not in pids
+
+
+def test_a_pass_whose_worker_died_once_is_tried_again_and_done(tmp_path: Path) -> None:
+    tasks = [batch_samples.task(run, out=str(tmp_path)) for run in ("a", "b")]
+    with WorkerSlots(2) as slots:
+        result = run_all(tasks, slots, 2, work=batch_samples.die_the_first_time)
+    assert (result.done, result.failures) == (2, ())
+
+
+def test_a_pass_that_kills_its_worker_is_named_after_three_tries_and_takes_no_other_with_it(
+    tmp_path: Path,
+) -> None:
+    tasks = [batch_samples.task(run, out=str(tmp_path)) for run in ("a", "deadly", "b", "c", "d")]
+    with WorkerSlots(2) as slots:
+        result = run_all(tasks, slots, 2, work=batch_samples.die_when_named_deadly)
+    assert result.done == 4
+    assert [failure.run for failure in result.failures] == ["deadly"]
+    assert "worker died" in result.failures[0].reason
+    tries = {path.stem: len(path.read_text()) for path in tmp_path.glob("*.tries")}
+    assert tries == {"a": 1, "b": 1, "c": 1, "d": 1, "deadly": 3}
+
+
+def test_ctrl_c_stops_within_seconds_dismisses_the_workers_and_says_how_to_go_on(tmp_path: Path) -> None:
+    tasks = [batch_samples.task(str(i), out=str(tmp_path)) for i in range(400)]
+    interrupted_at: list[float] = []
+
+    def press_ctrl_c_after_the_fourth(progress: Progress) -> None:
+        if progress.ended >= 4 and not interrupted_at:
+            interrupted_at.append(time.monotonic())
+            os.kill(os.getpid(), signal.SIGINT)
+
+    slots = WorkerSlots(2)
+    with pytest.raises(InterruptedBatch, match=r"of 400 passes are done; the same command goes on"):
+        run_all(tasks, slots, 2, watch=press_ctrl_c_after_the_fourth, work=batch_samples.nap)
+    slots.shutdown(wait=True)
+    assert time.monotonic() - interrupted_at[0] < 5.0
+    started = len(list(tmp_path.glob("*.tries")))
+    time.sleep(0.7)
+    assert len(list(tmp_path.glob("*.tries"))) == started < 20
+
+
+def test_no_more_than_twice_the_slots_are_ever_submitted() -> None:
+    outstanding, most = 0, 0
+    lock = threading.Lock()
+
+    class Counting(SerialExecutor):
+        def submit(self, fn, /, *args, **kwargs):  # type: ignore[no-untyped-def]
+            nonlocal outstanding, most
+            with lock:
+                outstanding += 1
+                most = max(most, outstanding)
+            return super().submit(fn, *args, **kwargs)
+
+    def ended(progress: Progress) -> None:
+        nonlocal outstanding
+        outstanding -= 1 if progress.last else 0
+
+    tasks = [batch_samples.task(str(i)) for i in range(50)]
+    run_all(tasks, Counting(), 3, watch=ended, work=batch_samples.succeed)
+    assert most == 6
+
+
+def test_a_slot_count_below_one_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least one"):
+        WorkerSlots(0)
