@@ -1,0 +1,369 @@
+"""MCAP at the level of bytes: framing, the records' contents, and nothing that trusts a length.
+
+Every record is `opcode (1 byte), length (8 bytes), content`. `walk` finds them in a buffer and stops, saying
+where, at the first that does not fit; nothing is allocated for what a length claims. Source: the MCAP
+specification, version 0.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+
+MAGIC = b"\x89MCAP0\r\n"
+FRAME = 9  # bytes of opcode and length in front of a record's content
+MESSAGE_HEAD = 22  # bytes of a message's content in front of its payload
+MAX_RECORDS = 20_000_000  # of one walk: six hours of nine 100 Hz sensors, in 0.4 GB of tables
+
+
+class McapError(ValueError):
+    """A file or record that is not MCAP; one line: what, where."""
+
+
+class Op(IntEnum):
+    """Opcodes of MCAP version 0."""
+
+    HEADER = 0x01
+    FOOTER = 0x02
+    SCHEMA = 0x03
+    CHANNEL = 0x04
+    MESSAGE = 0x05
+    CHUNK = 0x06
+    MESSAGE_INDEX = 0x07
+    CHUNK_INDEX = 0x08
+    ATTACHMENT = 0x09
+    ATTACHMENT_INDEX = 0x0A
+    STATISTICS = 0x0B
+    METADATA = 0x0C
+    METADATA_INDEX = 0x0D
+    SUMMARY_OFFSET = 0x0E
+    DATA_END = 0x0F
+
+
+MESSAGE_DTYPE = np.dtype(
+    [("channel_id", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")]
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Records found in a buffer: opcode, where the content starts and how long it is; where the walk ended.
+
+    complete is False when the bytes at `end` are not a whole record.
+    """
+
+    opcode: Bytes
+    start: Ints
+    length: Ints
+    end: int
+    complete: bool
+
+    def of(self, opcode: Op) -> Ints:
+        """Places in the table of one kind of record."""
+        return np.flatnonzero(self.opcode == opcode)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _walk(data: Bytes, start: int, stop: int, opcode: Bytes, begin: Ints, length: Ints) -> tuple[int, int]:
+    """Fill the tables with the records in data[start:stop]; their number, and where the last ends."""
+    at, n = start, 0
+    while at + 9 <= stop:
+        if data[at] == 0:  # never a valid opcode: zeros of a hole or of preallocation
+            break
+        size = np.uint64(0)
+        for i in range(8):
+            size |= np.uint64(data[at + 1 + i]) << np.uint64(8 * i)
+        if size > np.uint64(stop - at - 9):
+            break
+        if n < opcode.size:
+            opcode[n], begin[n], length[n] = data[at], at + 9, np.int64(size)
+        n += 1
+        at += 9 + np.int64(size)
+    return n, at
+
+
+def walk(data: Bytes, start: int, stop: int) -> Table:
+    """The records in data[start:stop].
+
+    Raises McapError when there are more than MAX_RECORDS.
+    """
+    nothing, none = np.empty(0, np.uint8), np.empty(0, np.int64)
+    n, end = _walk(data, start, stop, nothing, none, none)
+    if n > MAX_RECORDS:
+        raise McapError(f"holds {n} records in a row, more than {MAX_RECORDS}; split it into smaller logs")
+    opcode, begin, length = np.empty(n, np.uint8), np.empty(n, np.int64), np.empty(n, np.int64)
+    _walk(data, start, stop, opcode, begin, length)
+    return Table(opcode, begin, length, int(end), int(end) == stop)
+
+
+@dataclass(frozen=True)
+class Header:
+    profile: str
+    library: str
+
+
+@dataclass(frozen=True)
+class Footer:
+    summary_start: int
+    summary_offset_start: int
+    summary_crc: int
+
+
+@dataclass(frozen=True)
+class Schema:
+    id: int
+    name: str
+    encoding: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Channel:
+    id: int
+    schema_id: int
+    topic: str
+    message_encoding: str
+    metadata: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Message:
+    channel_id: int
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A chunk's head; its compressed bytes are data[start : start + size] of the file."""
+
+    message_start_time: int
+    message_end_time: int
+    uncompressed_size: int
+    uncompressed_crc: int
+    compression: str
+    start: int
+    size: int
+
+
+@dataclass(frozen=True)
+class MessageIndex:
+    channel_id: int
+    records: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class ChunkIndex:
+    message_start_time: int
+    message_end_time: int
+    chunk_start_offset: int
+    chunk_length: int
+    message_index_offsets: Mapping[int, int]
+    message_index_length: int
+    compression: str
+    compressed_size: int
+    uncompressed_size: int
+
+
+@dataclass(frozen=True)
+class Attachment:
+    log_time: int
+    create_time: int
+    name: str
+    media_type: str
+    data: bytes
+    crc: int
+
+
+@dataclass(frozen=True)
+class AttachmentIndex:
+    offset: int
+    length: int
+    log_time: int
+    create_time: int
+    data_size: int
+    name: str
+    media_type: str
+
+
+@dataclass(frozen=True)
+class Metadata:
+    name: str
+    metadata: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class MetadataIndex:
+    offset: int
+    length: int
+    name: str
+
+
+@dataclass(frozen=True)
+class Statistics:
+    message_count: int
+    schema_count: int
+    channel_count: int
+    attachment_count: int
+    metadata_count: int
+    chunk_count: int
+    message_start_time: int
+    message_end_time: int
+    channel_message_counts: Mapping[int, int]
+
+
+@dataclass(frozen=True)
+class SummaryOffset:
+    group_opcode: int
+    group_start: int
+    group_length: int
+
+
+@dataclass(frozen=True)
+class DataEnd:
+    data_section_crc: int
+
+
+Record = (
+    Header | Footer | Schema | Channel | Message | Chunk | MessageIndex | ChunkIndex | Attachment
+    | AttachmentIndex | Metadata | MetadataIndex | Statistics | SummaryOffset | DataEnd
+)  # fmt: skip
+
+
+class _Cursor:
+    """Reads little-endian values from a record's content; raises McapError where it ends too early."""
+
+    def __init__(self, data: Bytes, start: int, length: int, what: str) -> None:
+        self.view = memoryview(data)[start : start + length]
+        self.base, self.at, self.what = start, 0, what
+
+    def numbers(self, form: str) -> tuple[int, ...]:
+        size = struct.calcsize("<" + form)
+        return struct.unpack("<" + form, self.take(size))
+
+    def take(self, size: int) -> memoryview:
+        part = self.view[self.at : self.at + size]
+        if len(part) < size:
+            raise McapError(f"the {self.what} record at byte {self.base - FRAME} ends inside a field")
+        self.at += size
+        return part
+
+    def bytes_(self) -> bytes:
+        return bytes(self.take(self.numbers("I")[0]))
+
+    def text(self) -> str:
+        try:
+            return self.bytes_().decode()
+        except UnicodeDecodeError:
+            raise McapError(
+                f"the {self.what} record at byte {self.base - FRAME} has text that is not UTF-8"
+            ) from None
+
+    def texts(self) -> dict[str, str]:
+        end = self.numbers("I")[0] + self.at
+        self._inside(end)
+        found = {}
+        while self.at < end:
+            key = self.text()
+            found[key] = self.text()
+        return found
+
+    def pairs(self, form: str) -> tuple[tuple[int, int], ...]:
+        size = self.numbers("I")[0]
+        part = self.take(size - size % struct.calcsize("<" + form))
+        return tuple((a, b) for a, b in struct.iter_unpack("<" + form, part))
+
+    def _inside(self, end: int) -> None:
+        if end > len(self.view):
+            raise McapError(f"the {self.what} record at byte {self.base - FRAME} ends inside a field")
+
+
+def parse(data: Bytes, opcode: int, start: int, length: int) -> Record | None:
+    """The record whose content is data[start : start + length]; None for an opcode that MCAP 0 lacks.
+
+    Raises McapError when the content does not hold what the opcode promises.
+    """
+    if opcode not in _PARSERS:
+        return None
+    return _PARSERS[Op(opcode)](_Cursor(data, start, length, Op(opcode).name.lower().replace("_", " ")))
+
+
+def _header(c: _Cursor) -> Header:
+    return Header(c.text(), c.text())
+
+
+def _footer(c: _Cursor) -> Footer:
+    return Footer(*c.numbers("QQI"))
+
+
+def _schema(c: _Cursor) -> Schema:
+    return Schema(c.numbers("H")[0], c.text(), c.text(), c.bytes_())
+
+
+def _channel(c: _Cursor) -> Channel:
+    return Channel(*c.numbers("HH"), c.text(), c.text(), c.texts())
+
+
+def _message(c: _Cursor) -> Message:
+    return Message(*c.numbers("HIQQ"), bytes(c.view[c.at :]))
+
+
+def _chunk(c: _Cursor) -> Chunk:
+    times = c.numbers("QQQI")
+    compression, size = c.text(), c.numbers("Q")[0]
+    start = c.base + c.at
+    return Chunk(*times, compression, start, min(size, len(c.view) - c.at))
+
+
+def _message_index(c: _Cursor) -> MessageIndex:
+    return MessageIndex(c.numbers("H")[0], c.pairs("QQ"))
+
+
+def _chunk_index(c: _Cursor) -> ChunkIndex:
+    head = c.numbers("QQQQ")
+    offsets = dict(c.pairs("HQ"))
+    return ChunkIndex(*head, offsets, c.numbers("Q")[0], c.text(), *c.numbers("QQ"))
+
+
+def _attachment(c: _Cursor) -> Attachment:
+    times = c.numbers("QQ")
+    name, media_type = c.text(), c.text()
+    return Attachment(*times, name, media_type, bytes(c.take(c.numbers("Q")[0])), c.numbers("I")[0])
+
+
+def _attachment_index(c: _Cursor) -> AttachmentIndex:
+    return AttachmentIndex(*c.numbers("QQQQQ"), c.text(), c.text())
+
+
+def _statistics(c: _Cursor) -> Statistics:
+    return Statistics(*c.numbers("QHIIIIQQ"), dict(c.pairs("HQ")))
+
+
+_PARSERS = {
+    Op.HEADER: _header,
+    Op.FOOTER: _footer,
+    Op.SCHEMA: _schema,
+    Op.CHANNEL: _channel,
+    Op.MESSAGE: _message,
+    Op.CHUNK: _chunk,
+    Op.MESSAGE_INDEX: _message_index,
+    Op.CHUNK_INDEX: _chunk_index,
+    Op.ATTACHMENT: _attachment,
+    Op.ATTACHMENT_INDEX: _attachment_index,
+    Op.STATISTICS: _statistics,
+    Op.METADATA: lambda c: Metadata(c.text(), c.texts()),
+    Op.METADATA_INDEX: lambda c: MetadataIndex(*c.numbers("QQ"), c.text()),
+    Op.SUMMARY_OFFSET: lambda c: SummaryOffset(*c.numbers("BQQ")),
+    Op.DATA_END: lambda c: DataEnd(*c.numbers("I")),
+}
