@@ -1,167 +1,95 @@
-"""Many passes over any `concurrent.futures.Executor`: each is one task, none takes another with it.
-
-plan (find passes, name them) -> run (submit, watch, try lost ones again) -> finish (failures, campaign)
-"""
+"""Many passes, then the campaign: find, plan, run over any `concurrent.futures.Executor`, sum up."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
-from dataclasses import dataclass, field
-from time import monotonic
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
-from .batch_task import Outcome, Task, one_line, run_task
+from .batch_executors import SerialExecutor, WorkerSlots, dask_executor
+from .batch_find import FindError, filesystem, find, is_url, join
+from .batch_limits import Limits
+from .batch_loop import BatchRun, Watch, run_all
+from .batch_plan import Plan, Terms, plan
+from .batch_store import Store, open_store, work_folder
+from .batch_task import Outcome
+from .run import RunSettings
 
-TRIES = 3  # a pass whose worker was lost is tried again twice
-LOOK_EVERY = 0.5  # s between looks, when nothing ends: keeps a progress display alive
-
-
-class InterruptedBatch(Exception):  # noqa: N818 (it is no error)
-    """Ctrl-C during a batch, after its workers were dismissed; the text says how to go on."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far a batch is. last: the outcome that changed it; None: only time has passed."""
-
-    total: int
-    done: int
-    unchanged: int
-    failed: int
-    running: tuple[str, ...]
-    elapsed: float
-    last: Outcome | None = None
-    note: str = ""
-
-    @property
-    def ended(self) -> int:
-        """Passes that are over, whatever became of them."""
-        return self.done + self.unchanged + self.failed
-
-    @property
-    def time_left(self) -> float | None:
-        """Seconds that the rest will take at the pace so far; None before the first computed pass."""
-        computed = self.done + self.failed
-        if computed == 0:
-            return None
-        return self.elapsed / computed * (self.total - self.ended)
-
-
-Watch = Callable[[Progress], None]
-
-
-@dataclass
-class _Tally:
-    """The parent's books while a batch runs: what is out, what is lost, what failed."""
-
-    total: int
-    begin: float = field(default_factory=monotonic)
-    done: int = 0
-    unchanged: int = 0
-    pending: dict[Future[Outcome], tuple[Task, int]] = field(default_factory=dict)
-    failures: list[Outcome] = field(default_factory=list)
-
-    def progress(self, slots: int, last: Outcome | None = None, note: str = "") -> Progress:
-        running = tuple(task.run for task, _ in list(self.pending.values())[:slots])
-        elapsed = monotonic() - self.begin
-        return Progress(
-            self.total, self.done, self.unchanged, len(self.failures), running, elapsed, last, note
-        )
-
-    def book(self, outcome: Outcome) -> None:
-        if outcome.status == "failed":
-            self.failures.append(outcome)
-        elif outcome.status == "unchanged":
-            self.unchanged += 1
-        else:
-            self.done += 1
+FAILURES = "failures.json"
 
 
 @dataclass(frozen=True)
-class BatchRun:
-    """What came of running the tasks: counts, and the failures in the order of their runs."""
+class Request:
+    """What to run. workers: processes of this machine, 0: this one alone; scheduler: a Dask address."""
 
-    total: int
-    done: int
-    unchanged: int
-    failures: tuple[Outcome, ...]
-    seconds: float
+    paths: tuple[str, ...]
+    out: str
+    workers: int = 1
+    scheduler: str | None = None
+    resume: bool = True
+    campaign: str | None = None
+    settings: RunSettings = RunSettings()
+    limits: Limits = Limits()
+    summarise: bool = True
 
 
-def run_all(
-    tasks: Sequence[Task],
-    executor: Executor,
-    slots: int,
-    watch: Watch = lambda progress: None,
-    work: Callable[[Task], Outcome] = run_task,
-) -> BatchRun:
-    """Run the tasks, at most twice as many submitted as there are slots, and wait for all.
+def run_batch(request: Request, watch: Watch) -> dict[str, Any]:
+    """Run every pass under the paths, then the campaign over all that have a result.
 
-    watch : told of every pass that ends, and twice a second in between
-    work : what a worker does with a task
-
-    Raises InterruptedBatch on Ctrl-C, with the executor's pending tasks cancelled.
+    Returns the summary: counts, failures, and the campaign's verdict (None without a pass that succeeded).
+    Raises FindError when there is nothing to run, InterruptedBatch on Ctrl-C.
     """
-    tally = _Tally(len(tasks))
-    waiting = iter(tasks)
-    try:
-        _fill(tally, waiting, executor, slots, work)
-        while tally.pending:
-            _collect(tally, executor, slots, watch, work)
-            _fill(tally, waiting, executor, slots, work)
-    except KeyboardInterrupt:
-        executor.shutdown(wait=False, cancel_futures=True)
-        ended = tally.done + tally.unchanged
-        raise InterruptedBatch(
-            f"interrupted: {ended} of {len(tasks)} passes are done; the same command goes on from there"
-        ) from None
-    failures = tuple(sorted(tally.failures, key=lambda outcome: outcome.run))
-    return BatchRun(len(tasks), tally.done, tally.unchanged, failures, monotonic() - tally.begin)
+    found = find(request.paths, request.out)
+    with work_folder(request.out) as work:
+        terms = Terms(request.out, work, request.settings, request.resume, request.limits)
+        planned = plan(found.sources, terms)
+        ran = _run(planned, request, watch)
+        store = open_store(request.out, work)
+        runs = [task.run for task in planned.tasks if task.run not in {f.run for f in ran.failures}]
+        return _finish(store, ran, runs, request)
 
 
-def _fill(
-    tally: _Tally, waiting: Iterator[Task], executor: Executor, slots: int, work: Callable[[Task], Outcome]
-) -> None:
-    while len(tally.pending) < 2 * slots and (task := next(waiting, None)) is not None:
-        tally.pending[executor.submit(work, task)] = (task, 1)
+def _run(planned: Plan, request: Request, watch: Watch) -> BatchRun:
+    with _executor(request, len(planned.tasks)) as (executor, slots):
+        ran = run_all(planned.tasks, executor, slots, watch)
+    failures = sorted((*ran.failures, *planned.refused), key=lambda outcome: (outcome.run, outcome.source))
+    return replace(ran, total=ran.total + len(planned.refused), failures=tuple(failures))
 
 
-def _collect(
-    tally: _Tally, executor: Executor, slots: int, watch: Watch, work: Callable[[Task], Outcome]
-) -> None:
-    ended, _ = wait(tally.pending, timeout=LOOK_EVERY, return_when=FIRST_COMPLETED)
-    if not ended:
-        watch(tally.progress(slots))
-    for future in ended:
-        task, tries = tally.pending.pop(future)
-        error = _error_of(future)
-        if _worker_was_lost(error) and tries < TRIES:
-            tally.pending[executor.submit(work, task)] = (task, tries + 1)
-            watch(tally.progress(slots, note=f"{task.run}: its worker was lost; trying again on another"))
-            continue
-        outcome = future.result() if error is None else _lost(task, tries, error)
-        tally.book(outcome)
-        watch(tally.progress(slots, last=outcome))
-
-
-def _error_of(future: Future[Outcome]) -> BaseException | None:
-    try:
-        return future.exception()
-    except CancelledError as error:
-        return error
-
-
-def _worker_was_lost(error: BaseException | None) -> bool:
-    return isinstance(error, BrokenExecutor)
-
-
-def _lost(task: Task, tries: int, error: BaseException) -> Outcome:
-    """A pass that no worker brought to its end (Dask tries again by itself, then says KilledWorker)."""
-    if _worker_was_lost(error) or type(error).__name__ == "KilledWorker":
-        reason = (
-            f"its worker died each of the {TRIES} times it was tried, as when memory runs out; run it alone"
-            " with `smts-validate run`, or with fewer workers (-j)"
-        )
+@contextmanager
+def _executor(request: Request, tasks: int) -> Iterator[tuple[Executor, int]]:
+    if request.scheduler:
+        executor, slots = dask_executor(request.scheduler)
+    elif request.workers == 0:
+        executor, slots = SerialExecutor(), 1
     else:
-        reason = f"the executor failed: {one_line(error)}"
-    return Outcome(task.run, task.source.path, "failed", reason)
+        slots = max(1, min(request.workers, tasks))
+        executor = WorkerSlots(slots)
+    try:
+        yield executor, slots
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
+
+
+def _finish(store: Store, ran: BatchRun, runs: Sequence[str], request: Request) -> dict[str, Any]:
+    failures = [{"run": f.run, "source": f.source, "reason": f.reason} for f in ran.failures]
+    summary: dict[str, Any] = {
+        "out": request.out,
+        "passes": ran.total,
+        "done": ran.done,
+        "unchanged": ran.unchanged,
+        "failed": len(failures),
+        "seconds": round(ran.seconds, 3),
+        "failures": failures,
+        "verdict": None,
+        "report": None,
+    }
+    if not request.summarise:
+        return summary
+    return summary

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import batch_samples
 import pytest
-from smts_validate.pipeline.batch import InterruptedBatch, Progress, run_all
+from smts_validate.pipeline.batch_loop import InterruptedBatch, Progress, run_all
 from smts_validate.pipeline.batch_executors import SerialExecutor, WorkerSlots
 
 
