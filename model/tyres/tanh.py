@@ -1,0 +1,17 @@
+"""Smooth saturating tyre: F = −limit·tanh(C·δ/limit)."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+NAME = "tanh"
+
+
+@njit(cache=True)
+def lateral_force(slip_angle: float, stiffness: float, limit: float) -> float:
+    """Force F = −limit·tanh(C·δ/limit), N; slope −C at δ = 0, never beyond the limit."""
+    if not limit > 0.0:
+        return 0.0
+    return -limit * math.tanh(stiffness * slip_angle / limit)
