@@ -155,9 +155,8 @@ class Tyre:
         """Cornering stiffness C = C_ref·(P/P_ref)^e, N/rad; None: at the reference pressure."""
         if pressure_mpa is None:
             return self.cornering_stiffness
-        return float(()
-            self.cornering_stiffness * (pressure_mpa / self.reference_pressure_mpa) ** self.pressure_exponent
-        )
+        ratio = pressure_mpa / self.reference_pressure_mpa
+        return float(self.cornering_stiffness * ratio**self.pressure_exponent)
 
 
 @dataclass(frozen=True)
