@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from .cdr import Bytes, Ints
 from .log_read import LogError, read_streams
-from .log_topics import Channel, Columns, channels_of, messages
+from .log_topics import Channel, Columns, channels_of, messages, to_ns
 from .manifest import read as read_manifest
 from .streams import FieldLog
 
@@ -42,6 +42,7 @@ WORKERS = min(4, os.cpu_count() or 1)
 MANIFEST_NAME = "run.toml"
 INGEST_NAME = "ingest.json"
 RUN_METADATA = "smts.run"
+Records = list[records.McapRecord]
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ def write_log(path: Path, log: FieldLog) -> None:
     Raises CdrError for a time that ROS 2 stamps cannot hold, OSError where the file cannot be written.
     """
     start = min(
-        (int(stream.t_arrival[0] * 1e9) for stream in log.streams.values() if stream.t.size), default=0
+        (int(to_ns(stream.t_arrival[:1])[0]) for stream in log.streams.values() if stream.t.size), default=0
     )
     ingest = {"warnings": [asdict(warn) for warn in log.warnings], "health": log.health, "sha256": log.sha256}
     attachments = (
@@ -139,11 +140,12 @@ class _Writer:
     at: int = 0
     crc: int = 0
     channels: list[Channel] = field(default_factory=list)
-    definitions: list[records.McapRecord] = field(default_factory=list)
-    packed: list[_Packed] = field(default_factory=list)
-    chunk_index: list[records.McapRecord] = field(default_factory=list)
-    attachment_index: list[records.McapRecord] = field(default_factory=list)
-    metadata_index: list[records.McapRecord] = field(default_factory=list)
+    definitions: Records = field(default_factory=list)
+    start_time: int = 2**64
+    end_time: int = 0
+    chunk_index: Records = field(default_factory=list)
+    attachment_index: Records = field(default_factory=list)
+    metadata_index: Records = field(default_factory=list)
 
     def put(self, data: bytes) -> int:
         """Write bytes of the data section; their length."""
@@ -165,12 +167,10 @@ class _Writer:
         self.metadata_index.append(records.MetadataIndex(offset=at, length=length, name=name))
 
     def attachment(self, item: Attachment) -> None:
-        at, common = self.at, {"name": item.name, "media_type": item.media_type}
-        times = {"log_time": item.time_ns, "create_time": item.time_ns}
-        length = self.put(_bytes_of(records.Attachment(data=item.data, **times, **common)))
-        self.attachment_index.append(
-            records.AttachmentIndex(offset=at, length=length, data_size=len(item.data), **times, **common)
-        )
+        at, common = self.at, (item.name, item.media_type)
+        length = self.put(_bytes_of(records.Attachment(item.time_ns, item.time_ns, *common, item.data)))
+        times = (item.time_ns, item.time_ns)
+        self.attachment_index.append(records.AttachmentIndex(at, length, *times, len(item.data), *common))
 
     def messages(self) -> None:
         """Serialise and compress in threads, a few chunks ahead of the writing."""
@@ -183,27 +183,30 @@ class _Writer:
 
     def chunk(self, packed: _Packed) -> None:
         at = self.at
-        times = {"message_start_time": packed.start_time, "message_end_time": packed.end_time}
-        sizes = {"compression": "zstd", "uncompressed_size": packed.size}
-        length = self.put(
-            _bytes_of(records.Chunk(data=packed.data, uncompressed_crc=packed.crc, **times, **sizes))
+        span = {"message_start_time": packed.start_time, "message_end_time": packed.end_time}
+        record = records.Chunk(
+            compression="zstd",
+            data=packed.data,
+            uncompressed_crc=packed.crc,
+            uncompressed_size=packed.size,
+            **span,
         )
+        length = self.put(_bytes_of(record))
         index_at = self.at
         index_length = self.put(packed.index)
-        self.chunk_index.append(
-            records.ChunkIndex(
-                chunk_start_offset=at,
-                chunk_length=length,
-                message_index_offsets={packed.channel_id: index_at},
-                message_index_length=index_length,
-                compressed_size=len(packed.data),
-                **times,
-                **sizes,
-            )
+        index = records.ChunkIndex(
+            chunk_start_offset=at,
+            chunk_length=length,
+            message_index_offsets={packed.channel_id: index_at},
+            message_index_length=index_length,
+            compression="zstd",
+            compressed_size=len(packed.data),
+            uncompressed_size=packed.size,
+            **span,
         )
-        self.packed.append(
-            _Packed(packed.channel_id, b"", 0, 0, b"", packed.start_time, packed.end_time, packed.count)
-        )
+        self.chunk_index.append(index)
+        self.start_time = min(self.start_time, packed.start_time)
+        self.end_time = max(self.end_time, packed.end_time)
 
     def finish(self) -> None:
         self.put(_bytes_of(records.DataEnd(self.crc)))
@@ -217,15 +220,15 @@ class _Writer:
         offset_start = summary_start + builder.count
         for offset in offsets:
             offset.write(builder)
-        data = builder.end()
+        data = _taken(builder)
         footer = records.Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=0)
         footer.summary_crc = zlib.crc32(_bytes_of(footer)[:-4], zlib.crc32(data))
         self.stream.write(data + _bytes_of(footer) + MAGIC)
 
-    def summary(self) -> list[tuple[Opcode, list[records.McapRecord]]]:
+    def summary(self) -> list[tuple[Opcode, Records]]:
         """The groups that the summary repeats or indexes."""
-        schemas = [each for each in self.definitions if isinstance(each, records.Schema)]
-        channels = [each for each in self.definitions if isinstance(each, records.Channel)]
+        schemas: Records = [each for each in self.definitions if isinstance(each, records.Schema)]
+        channels: Records = [each for each in self.definitions if isinstance(each, records.Channel)]
         return [
             (Opcode.SCHEMA, schemas),
             (Opcode.CHANNEL, channels),
@@ -241,11 +244,11 @@ class _Writer:
             attachment_count=len(self.attachment_index),
             channel_count=len(self.channels),
             channel_message_counts=counts,
-            chunk_count=len(self.packed),
+            chunk_count=len(self.chunk_index),
             message_count=sum(counts.values()),
             metadata_count=len(self.metadata_index),
-            message_start_time=min((each.start_time for each in self.packed), default=0),
-            message_end_time=max((each.end_time for each in self.packed), default=0),
+            message_start_time=self.start_time if self.chunk_index else 0,
+            message_end_time=self.end_time,
             schema_count=schema_count,
         )
 
@@ -253,7 +256,11 @@ class _Writer:
 def _bytes_of(record: records.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
-    return bytes(builder.end())
+    return _taken(builder)
+
+
+def _taken(builder: RecordBuilder) -> bytes:
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
 def _definitions(channels: Sequence[Channel]) -> Iterator[records.McapRecord]:

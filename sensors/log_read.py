@@ -237,7 +237,7 @@ def _ingest(recordings: Sequence[Recording]) -> dict[str, Any]:
 def _digest(recordings: Sequence[Recording]) -> str:
     digest = hashlib.sha256()
     for recording in recordings:
-        digest.update(recording.data)
+        digest.update(recording.data.data)
     return digest.hexdigest()
 
 
@@ -382,7 +382,7 @@ def _gnss(name: str, parts: Mapping[str, Found], warnings: list[Warn]) -> GnssSt
 
 
 def _quality(status: NDArray[Any], sd: Floats) -> Floats:
-    """GGA fix quality of a NavSatStatus: SBAS is differential, GBAS is RTK, fixed if the deviation is small."""
+    """GGA fix quality of a NavSatStatus: SBAS is differential, GBAS is RTK, fixed if the sd is small."""
     horizontal = np.hypot(sd[:, 0], sd[:, 1])
     rtk = np.where(horizontal < RTK_FIXED_SD, 4.0, 5.0)
     return np.select([status == FIX, status == SBAS_FIX, status == GBAS_FIX], [1.0, 2.0, rtk], 0.0)

@@ -11,7 +11,15 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 GRAVITY = 9.80665  # m/s², standard gravity
 
@@ -174,7 +182,6 @@ class Sensor(Table):
         return self
 
 
-
 class Inertial(Sensor):
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     rate: Positive
@@ -226,7 +233,9 @@ class Manifest(Table):
     machine: Machine
     sensors: dict[str, AnySensor]
     conditions: dict[str, Any] = Field(default_factory=dict)
-    uncertainty: dict[str, NotNegative] = Field(default_factory=dict)  # "tyres.front.cornering_stiffness" = sd, SI
+    uncertainty: dict[str, NotNegative] = Field(
+        default_factory=dict
+    )  # "tyres.front.cornering_stiffness" = sd, SI
 
     @field_validator("sensors")
     @classmethod
@@ -240,13 +249,15 @@ class Manifest(Table):
     def _enough_sensors(self) -> Manifest:
         bodies = {s.body for s in self.sensors.values() if s.kind == "imd"}
         if "tractor" not in bodies:
-            raise ValueError("a pass needs at least one IMD with body = \"tractor\"")
+            raise ValueError('a pass needs at least one IMD with body = "tractor"')
         if self.machine.seeder is not None and "seeder" not in bodies:
-            raise ValueError("a pass with [machine.seeder] needs at least one IMD with body = \"seeder\"")
-        if self.machine.seeder is None and any(getattr(s, "body", "") == "seeder" for s in self.sensors.values()):
+            raise ValueError('a pass with [machine.seeder] needs at least one IMD with body = "seeder"')
+        if self.machine.seeder is None and any(
+            getattr(s, "body", "") == "seeder" for s in self.sensors.values()
+        ):
             raise ValueError("a sensor sits on the seeder but there is no [machine.seeder]")
         if not any(s.kind == "gps" for s in self.sensors.values()):
-            raise ValueError("a pass needs a sensor of kind \"gps\"")
+            raise ValueError('a pass needs a sensor of kind "gps"')
         return self
 
     def of_kind(self, kind: str) -> dict[str, Any]:
@@ -289,11 +300,30 @@ def _first_line(error: ValidationError) -> str:
         return f"{where}: this key is missing"
     message = first["msg"].removeprefix("Value error, ")
     value = first.get("input")
-    shown = f" (it is {value!r})" if isinstance(value, int | float | str) and not (isinstance(value, float) and math.isnan(value)) else ""
+    shown = (
+        f" (it is {value!r})"
+        if isinstance(value, int | float | str) and not (isinstance(value, float) and math.isnan(value))
+        else ""
+    )
     return f"{where}: {message}{shown}" if where else f"{message}{shown}"
 
 
 def _known_keys(table: type[BaseModel]) -> Iterator[str]:
-    for kind in (Manifest, Run, Line, Operating, Machine, Tractor, Seeder, Tyres, Tyre, Imd, Wds, Steer, Gps, Units):
+    for kind in (
+        Manifest,
+        Run,
+        Line,
+        Operating,
+        Machine,
+        Tractor,
+        Seeder,
+        Tyres,
+        Tyre,
+        Imd,
+        Wds,
+        Steer,
+        Gps,
+        Units,
+    ):
         for name, info in kind.model_fields.items():
             yield info.alias or name

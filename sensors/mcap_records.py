@@ -8,9 +8,10 @@ specification, version 0.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -72,7 +73,7 @@ class Table:
         return np.flatnonzero(self.opcode == opcode)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _walk(data: Bytes, start: int, stop: int, opcode: Bytes, begin: Ints, length: Ints) -> tuple[int, int]:
     """Fill the tables with the records in data[start:stop]; their number, and where the last ends."""
     at, n = start, 0
@@ -87,7 +88,7 @@ def _walk(data: Bytes, start: int, stop: int, opcode: Bytes, begin: Ints, length
         if n < opcode.size:
             opcode[n], begin[n], length[n] = data[at], at + 9, np.int64(size)
         n += 1
-        at += 9 + np.int64(size)
+        at += 9 + int(size)
     return n, at
 
 
@@ -153,8 +154,8 @@ class Chunk:
     uncompressed_size: int
     uncompressed_crc: int
     compression: str
-    start: int
     size: int
+    start: int
 
 
 @dataclass(frozen=True)
@@ -245,48 +246,76 @@ class _Cursor:
     """Reads little-endian values from a record's content; raises McapError where it ends too early."""
 
     def __init__(self, data: Bytes, start: int, length: int, what: str) -> None:
-        self.view = memoryview(data)[start : start + length]
+        self.view = data.data[start : start + length]
         self.base, self.at, self.what = start, 0, what
 
-    def numbers(self, form: str) -> tuple[int, ...]:
-        size = struct.calcsize("<" + form)
-        return struct.unpack("<" + form, self.take(size))
+    def fields(self, form: str) -> list[Any]:
+        """Values by a string of letters: those of `struct` for numbers, and those of _READ."""
+        return [_READ[letter](self) if letter in _READ else self.number(letter) for letter in form]
+
+    def number(self, letter: str) -> int:
+        (value,) = struct.unpack("<" + letter, self.take(struct.calcsize("<" + letter)))
+        return int(value)
 
     def take(self, size: int) -> memoryview:
         part = self.view[self.at : self.at + size]
         if len(part) < size:
-            raise McapError(f"the {self.what} record at byte {self.base - FRAME} ends inside a field")
+            raise McapError(f"{self.place()} ends inside a field")
         self.at += size
         return part
 
-    def bytes_(self) -> bytes:
-        return bytes(self.take(self.numbers("I")[0]))
-
     def text(self) -> str:
         try:
-            return self.bytes_().decode()
+            return bytes(self.take(self.number("I"))).decode()
         except UnicodeDecodeError:
-            raise McapError(
-                f"the {self.what} record at byte {self.base - FRAME} has text that is not UTF-8"
-            ) from None
+            raise McapError(f"{self.place()} has text that is not UTF-8") from None
 
     def texts(self) -> dict[str, str]:
-        end = self.numbers("I")[0] + self.at
-        self._inside(end)
+        inner = _Cursor.__new__(_Cursor)
+        inner.view, inner.base, inner.at, inner.what = self.take(self.number("I")), self.base, 0, self.what
         found = {}
-        while self.at < end:
-            key = self.text()
-            found[key] = self.text()
+        while inner.at < len(inner.view):
+            key = inner.text()
+            found[key] = inner.text()
         return found
 
     def pairs(self, form: str) -> tuple[tuple[int, int], ...]:
-        size = self.numbers("I")[0]
-        part = self.take(size - size % struct.calcsize("<" + form))
-        return tuple((a, b) for a, b in struct.iter_unpack("<" + form, part))
+        size = self.number("I")
+        part = self.take(size - size % struct.calcsize(form))
+        return tuple((a, b) for a, b in struct.iter_unpack(form, part))
 
-    def _inside(self, end: int) -> None:
-        if end > len(self.view):
-            raise McapError(f"the {self.what} record at byte {self.base - FRAME} ends inside a field")
+    def place(self) -> str:
+        return f"the {self.what} record at byte {self.base - FRAME}"
+
+
+_READ: dict[str, Callable[[_Cursor], Any]] = {
+    "t": _Cursor.text,
+    "b": lambda c: bytes(c.take(c.number("I"))),
+    "l": lambda c: bytes(c.take(c.number("Q"))),
+    "r": lambda c: bytes(c.view[c.at :]),
+    "m": _Cursor.texts,
+    "p": lambda c: c.pairs("<QQ"),
+    "d": lambda c: dict(c.pairs("<HQ")),
+    "s": lambda c: c.base + c.at,  # where in the file the rest starts
+}
+
+_FORMS: dict[Op, tuple[Callable[..., Record], str]] = {
+    Op.HEADER: (Header, "tt"),
+    Op.FOOTER: (Footer, "QQI"),
+    Op.SCHEMA: (Schema, "Httb"),
+    Op.CHANNEL: (Channel, "HHttm"),
+    Op.MESSAGE: (Message, "HIQQr"),
+    Op.CHUNK: (Chunk, "QQQItQs"),
+    Op.MESSAGE_INDEX: (MessageIndex, "Hp"),
+    Op.CHUNK_INDEX: (ChunkIndex, "QQQQdQtQQ"),
+    Op.ATTACHMENT: (Attachment, "QQttlI"),
+    Op.ATTACHMENT_INDEX: (AttachmentIndex, "QQQQQtt"),
+    Op.STATISTICS: (Statistics, "QHIIIIQQd"),
+    Op.METADATA: (Metadata, "tm"),
+    Op.METADATA_INDEX: (MetadataIndex, "QQt"),
+    Op.SUMMARY_OFFSET: (SummaryOffset, "BQQ"),
+    Op.DATA_END: (DataEnd, "I"),
+}
 
 
 def parse(data: Bytes, opcode: int, start: int, length: int) -> Record | None:
@@ -294,76 +323,8 @@ def parse(data: Bytes, opcode: int, start: int, length: int) -> Record | None:
 
     Raises McapError when the content does not hold what the opcode promises.
     """
-    if opcode not in _PARSERS:
+    if opcode not in _FORMS:
         return None
-    return _PARSERS[Op(opcode)](_Cursor(data, start, length, Op(opcode).name.lower().replace("_", " ")))
-
-
-def _header(c: _Cursor) -> Header:
-    return Header(c.text(), c.text())
-
-
-def _footer(c: _Cursor) -> Footer:
-    return Footer(*c.numbers("QQI"))
-
-
-def _schema(c: _Cursor) -> Schema:
-    return Schema(c.numbers("H")[0], c.text(), c.text(), c.bytes_())
-
-
-def _channel(c: _Cursor) -> Channel:
-    return Channel(*c.numbers("HH"), c.text(), c.text(), c.texts())
-
-
-def _message(c: _Cursor) -> Message:
-    return Message(*c.numbers("HIQQ"), bytes(c.view[c.at :]))
-
-
-def _chunk(c: _Cursor) -> Chunk:
-    times = c.numbers("QQQI")
-    compression, size = c.text(), c.numbers("Q")[0]
-    start = c.base + c.at
-    return Chunk(*times, compression, start, min(size, len(c.view) - c.at))
-
-
-def _message_index(c: _Cursor) -> MessageIndex:
-    return MessageIndex(c.numbers("H")[0], c.pairs("QQ"))
-
-
-def _chunk_index(c: _Cursor) -> ChunkIndex:
-    head = c.numbers("QQQQ")
-    offsets = dict(c.pairs("HQ"))
-    return ChunkIndex(*head, offsets, c.numbers("Q")[0], c.text(), *c.numbers("QQ"))
-
-
-def _attachment(c: _Cursor) -> Attachment:
-    times = c.numbers("QQ")
-    name, media_type = c.text(), c.text()
-    return Attachment(*times, name, media_type, bytes(c.take(c.numbers("Q")[0])), c.numbers("I")[0])
-
-
-def _attachment_index(c: _Cursor) -> AttachmentIndex:
-    return AttachmentIndex(*c.numbers("QQQQQ"), c.text(), c.text())
-
-
-def _statistics(c: _Cursor) -> Statistics:
-    return Statistics(*c.numbers("QHIIIIQQ"), dict(c.pairs("HQ")))
-
-
-_PARSERS = {
-    Op.HEADER: _header,
-    Op.FOOTER: _footer,
-    Op.SCHEMA: _schema,
-    Op.CHANNEL: _channel,
-    Op.MESSAGE: _message,
-    Op.CHUNK: _chunk,
-    Op.MESSAGE_INDEX: _message_index,
-    Op.CHUNK_INDEX: _chunk_index,
-    Op.ATTACHMENT: _attachment,
-    Op.ATTACHMENT_INDEX: _attachment_index,
-    Op.STATISTICS: _statistics,
-    Op.METADATA: lambda c: Metadata(c.text(), c.texts()),
-    Op.METADATA_INDEX: lambda c: MetadataIndex(*c.numbers("QQ"), c.text()),
-    Op.SUMMARY_OFFSET: lambda c: SummaryOffset(*c.numbers("BQQ")),
-    Op.DATA_END: lambda c: DataEnd(*c.numbers("I")),
-}
+    op = Op(opcode)
+    kind, form = _FORMS[op]
+    return kind(*_Cursor(data, start, length, op.name.lower().replace("_", " ")).fields(form))

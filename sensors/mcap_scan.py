@@ -97,16 +97,11 @@ class _Registry:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
 
-    def add(self, record: Record | None) -> None:
-        if isinstance(record, Schema):
-            self._put(self.schemas, record.id, record, "schema")
-        elif isinstance(record, Channel):
-            self._put(self.channels, record.id, record, "channel")
-
-    @staticmethod
-    def _put(known: dict[int, Record], key: int, record: Record, what: str) -> None:  # type: ignore[misc]
-        if known.setdefault(key, record) != record:
-            raise McapError(f"{what} {key} is defined twice, differently; the file is not valid MCAP")
+    def add(self, record: Record | Fault) -> None:
+        if isinstance(record, Schema) and self.schemas.setdefault(record.id, record) != record:
+            raise McapError(f"schema {record.id} is defined twice, differently; the file is not valid MCAP")
+        if isinstance(record, Channel) and self.channels.setdefault(record.id, record) != record:
+            raise McapError(f"channel {record.id} is defined twice, differently; the file is not valid MCAP")
 
 
 def open_recording(path: Path) -> Recording:
@@ -138,7 +133,10 @@ def _scan(path: Path, data: Bytes) -> Recording:
     closed = data.size >= 2 * len(MAGIC) and data[-len(MAGIC) :].tobytes() == MAGIC
     table = walk(data, len(MAGIC), data.size - (len(MAGIC) if closed else 0))
     registry = _Registry()
-    chunks, attachments, metadata, faults = [], [], [], []
+    chunks: list[Chunk] = []
+    attachments: list[Attachment] = []
+    metadata: list[Metadata] = []
+    faults: list[Fault] = []
     header, statistics = Header("", ""), None
     for record in _records(data, table, (Op.MESSAGE, Op.MESSAGE_INDEX, Op.CHUNK_INDEX)):
         registry.add(record)
@@ -191,7 +189,7 @@ def _cut_chunk(data: Bytes, table: Table) -> tuple[Chunk, ...]:
         record = parse(data, Op.CHUNK, at + FRAME, data.size - at - FRAME)
     except McapError:
         return ()
-    return (record,) if isinstance(record, Chunk) and record.size > 0 else ()
+    return (record,) if isinstance(record, Chunk) else ()
 
 
 def _damage(data: Bytes, table: Table, closed: bool) -> tuple[Fault, ...]:
@@ -214,7 +212,10 @@ def _sum_faults(data: Bytes, table: Table) -> Iterator[Fault]:
     if ends.size:
         at = int(table.start[ends[0]])
         record = parse(data, Op.DATA_END, at, int(table.length[ends[0]]))
-        if isinstance(record, DataEnd) and record.data_section_crc not in (0, zlib.crc32(data[: at - FRAME])):
+        if isinstance(record, DataEnd) and record.data_section_crc not in (
+            0,
+            zlib.crc32(data[: at - FRAME].data),
+        ):
             yield Fault("the data section's CRC is wrong", "chunks are checked one by one by their own CRC")
     feet = table.of(Op.FOOTER)
     if feet.size:
@@ -227,7 +228,7 @@ def _sum_faults(data: Bytes, table: Table) -> Iterator[Fault]:
 def _wrong_summary(data: Bytes, footer: Footer, at: int) -> bool:
     """Whether the CRC over the summary and the footer (without the CRC itself) disagrees."""
     start = footer.summary_start or at - FRAME
-    return footer.summary_crc != 0 and zlib.crc32(data[start : at + 16]) != footer.summary_crc
+    return footer.summary_crc != 0 and zlib.crc32(data[start : at + 16].data) != footer.summary_crc
 
 
 # -- messages --------------------------------------------------------------------------------------------
@@ -283,7 +284,7 @@ def _grouped(chunks: Sequence[Chunk]) -> Iterator[list[Chunk]]:
 def _open_chunk(data: Bytes, chunk: Chunk) -> _Block:
     if chunk.uncompressed_size > MAX_CHUNK:
         raise McapError(f"a chunk claims {chunk.uncompressed_size} bytes, more than {MAX_CHUNK}; refused")
-    raw = _decompress(memoryview(data)[chunk.start : chunk.start + chunk.size], chunk)
+    raw = _decompress(data.data[chunk.start : chunk.start + chunk.size], chunk)
     span = _span(chunk)
     content = np.frombuffer(raw, np.uint8)
     if content.size == chunk.uncompressed_size and chunk.uncompressed_crc not in (0, zlib.crc32(raw)):
@@ -353,7 +354,7 @@ def _as_far_as_it_goes(engine: object, packed: memoryview, size: int, error: typ
 
 def _batches(block: _Block, registry: _Registry, wanted: Callable[[Channel], bool]) -> Iterator[Batch]:
     for record in _records(block.data, _definitions(block.table), ()):
-        registry.add(record if isinstance(record, Schema | Channel) else None)
+        registry.add(record)
     rows = block.table.of(Op.MESSAGE)
     if rows.size == 0:
         return

@@ -95,7 +95,8 @@ _BODIES: dict[str, str] = {
     ),
     "foxglove_msgs/SceneEntity": (
         "builtin_interfaces/Time timestamp\nstring frame_id\nstring id\n"
-        "builtin_interfaces/Duration lifetime\nbool frame_locked\nfoxglove_msgs/KeyValuePair[] metadata\nfoxglove_msgs/ArrowPrimitive[] arrows\n"
+        "builtin_interfaces/Duration lifetime\nbool frame_locked\n"
+        "foxglove_msgs/KeyValuePair[] metadata\nfoxglove_msgs/ArrowPrimitive[] arrows\n"
         "foxglove_msgs/CubePrimitive[] cubes\nfoxglove_msgs/SpherePrimitive[] spheres\n"
         "foxglove_msgs/CylinderPrimitive[] cylinders\nfoxglove_msgs/LinePrimitive[] lines\n"
         "foxglove_msgs/TriangleListPrimitive[] triangles\nfoxglove_msgs/TextPrimitive[] texts\n"

@@ -1,0 +1,391 @@
+"""Device, host and UTC time: wraps, resets, drift and one-sided latency -> the instant of measurement.
+
+Three clocks meet in a raw pass. A unit's own counter is regular, but its rate is off and it wraps and resets; the
+logger's (host) clock stamps arrival, late by a jittering latency that is never negative; GNSS sentences carry
+UTC. Since latency is one-sided, the line that best relates two clocks is not a least-squares line but the
+highest one below all points: it touches the samples that came through fastest (the lower convex hull).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+COUNTER_SPAN = 2**32
+SEQ_SPAN = 2**16
+DEVICE_DRIFT_SD = 2.0e-4  # rates of IMU crystals against the host
+HOST_DRIFT_SD = 2.0e-5  # rate of a computer's clock against UTC
+IMU_LEAST_LATENCY = (
+    1.0e-3  # s: the smallest credible delay from sampling to arrival; it cannot be seen in the clocks
+)
+STEP_WINDOW = 15.0  # s: a latency burst ends sooner, a reset or a clock jump lasts
+DEVICE_STEP = 0.1  # s: smaller changes of offset are latency
+GNSS_STEP = 0.25  # s
+CORRELATED_LATENCIES = 10.0  # so many neighbouring latencies tell as much as one independent one
+MAX_HULL_INPUT = 4096
+NEIGHBOURS = 1.0  # s: a counter that advances less than this between rows has not been reset
+RESET_STEP = 0.25  # s: by which a counter's advance differs from the host's when it was reset
+HUGE_STEP = 600.0  # s: no latency lasts so long
+MIN_SEGMENT = 5  # samples: fewer between two resets are a corrupt counter
+MIN_EPOCHS = 20  # epochs of a slow receiver on each side of a jump
+SHARED_RATE_SD = 2.0e-6  # rate of one crystal before and after a reset
+
+
+class ClockError(ValueError):
+    """Clocks that cannot be reconciled; the text names what, and `row` where (index of the sample)."""
+
+    def __init__(self, text: str, row: int | None = None) -> None:
+        super().__init__(text)
+        self.row = row
+
+
+@dataclass(frozen=True)
+class ClockLine:
+    """y = level + slope·(x - origin): a line below all points of a one-sided scatter.
+
+    spread is the mean height of the points above it (s).
+    """
+
+    origin: float
+    level: float
+    slope: float
+    spread: float
+
+    def __call__(self, x: Floats) -> Floats:
+        return self.level + self.slope * (x - self.origin)
+
+
+@dataclass(frozen=True)
+class SampleTimes:
+    """Which samples of a stream stay, in the order of their instants, and when they were taken.
+
+    index : (M,) rows of the input, each distinct sample once, ordered in time
+    t : (M,) s on the host's clock, true instant + the least latency
+    host : (M,) s on the host's clock, arrival, jumps of that clock taken out
+    drift : of the device's counter against the host, 1 (positive: counter runs fast); NaN without counter
+    """
+
+    index: Ints
+    t: Floats
+    host: Floats
+    drift: float
+    doubled: int
+    disordered: int
+    lost: int
+    wraps: int
+    resets: Ints
+    host_jumps: tuple[tuple[int, float], ...]
+
+
+def unwrap(counter: Ints, span: int, elapsed: Floats) -> Ints:
+    """A counter that wraps at `span` made continuous, settled by another clock.
+
+    elapsed : (N,) what the counter should have advanced since the first sample, in its own unit, to
+        within half a span.
+    """
+    advance = counter - counter[0]
+    return np.asarray(counter + span * np.rint((elapsed - advance) / span).astype(np.int64), dtype=np.int64)
+
+
+def lower_hull(x: Floats, y: Floats) -> Ints:
+    """Indices of the lower convex hull's vertices, left to right; x increasing (Andrew's monotone chain)."""
+    hull: list[int] = []
+    xs, ys = x.tolist(), y.tolist()
+    for i in range(len(xs)):
+        while len(hull) >= 2:
+            a, b = hull[-2], hull[-1]
+            if (xs[b] - xs[a]) * (ys[i] - ys[a]) - (ys[b] - ys[a]) * (xs[i] - xs[a]) > 0.0:
+                break
+            hull.pop()
+        hull.append(i)
+    return np.array(hull, dtype=np.int64)
+
+
+def _thinned(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """At most MAX_HULL_INPUT points that can touch a line from above: the lowest of each block of x."""
+    order = np.argsort(x, kind="stable")
+    x, y = x[order], y[order]
+    if x.size <= MAX_HULL_INPUT:
+        return x, y
+    starts = np.linspace(0, x.size, MAX_HULL_INPUT // 2, endpoint=False).astype(np.int64)
+    trend = _coarse_slope(x, y, starts)
+    height = y - trend * x
+    lowest = np.minimum.reduceat(height, starts)
+    block = np.repeat(np.arange(starts.size), np.diff(np.append(starts, x.size)))
+    first = np.flatnonzero(height == lowest[block])
+    return x[first], y[first]
+
+
+def _coarse_slope(x: Floats, y: Floats, starts: Ints) -> float:
+    """Slope between the lowest points of the first and the last quarter of the blocks' minima."""
+    low, at = np.minimum.reduceat(y, starts), x[starts]
+    slope = np.polyfit(at - at.mean(), low, 1)[0] if at[-1] > at[0] else 0.0
+    return float(slope)
+
+
+def one_sided_line(x: Floats, y: Floats, slope: float = 0.0, slope_sd: float = DEVICE_DRIFT_SD) -> ClockLine:
+    """The most probable line below points whose height above it is a never-negative latency.
+
+    With exponential latencies of mean m the likelihood of a line under all points is exp(-Σ height / m), and
+    for a given slope b the level is min(y - b·x); a normal prior on the slope keeps short scatters sane:
+    minimise -N·min(y - b·(x - x̄))/m + (b - slope)²/(2·slope_sd²), convex in b. Only the lower hull matters.
+
+    Parameters
+    ----------
+    x, y : (N,) s, N ≥ 1; y measured on the clock whose stamps are late
+    slope, slope_sd : prior of the slope, 1
+    """
+    centre = float(x.mean())
+    px, py = _thinned(x - centre, y)
+    vertices = lower_hull(px, py)
+    hx, hy = px[vertices], py[vertices]
+    mean = float(y.mean())
+    spread = max(mean - float((hy - slope * hx).min()), 1.0e-6)
+    for _ in range(3):
+        weight = x.size / CORRELATED_LATENCIES / spread
+        best = _most_probable_slope(hx, hy, weight, slope, slope_sd)
+        level = float((hy - best * hx).min())
+        spread = max(mean - level, 1.0e-6)
+    return ClockLine(centre, level, best, spread)
+
+
+def _most_probable_slope(hx: Floats, hy: Floats, weight: float, slope: float, slope_sd: float) -> float:
+    """Golden-section search of the convex cost over ± 10 prior standard deviations."""
+    ratio = (5.0**0.5 - 1.0) / 2.0
+
+    def cost(b: float) -> float:
+        return -weight * float((hy - b * hx).min()) + 0.5 * ((b - slope) / slope_sd) ** 2
+
+    low, high = slope - 10.0 * slope_sd, slope + 10.0 * slope_sd
+    a, b = high - ratio * (high - low), low + ratio * (high - low)
+    cost_a, cost_b = cost(a), cost(b)
+    while high - low > 1.0e-10:
+        if cost_a < cost_b:
+            high, b, cost_b = b, a, cost_a
+            a = high - ratio * (high - low)
+            cost_a = cost(a)
+        else:
+            low, a, cost_a = a, b, cost_b
+            b = low + ratio * (high - low)
+            cost_b = cost(b)
+    return 0.5 * (low + high)
+
+
+def find_steps(offset: Floats, window: int, threshold: float) -> list[tuple[int, float]]:
+    """Lasting changes of a one-sided offset: (index of the first sample after it, size).
+
+    The least offset of the `window` samples before is held against that of the `window` samples from there on:
+    latency comes and goes, a reset or a jump of a clock stays.
+    """
+    n = offset.size
+    half = min(max(1, window // 2), n)
+    width = 2 * half + 1
+    edge = np.full(width, np.inf)
+    least = minimum_filter1d(np.concatenate([edge, offset, edge]), width, mode="nearest")
+    rows = np.arange(1, n)
+    change = np.zeros(n)
+    change[1:] = least[rows + width + half] - least[rows + width - 1 - half]
+    return _edges(change, threshold)
+
+
+def _edges(change: Floats, threshold: float) -> list[tuple[int, float]]:
+    """One edge a run of flagged samples: a rise shows from its edge on, a fall up to its edge."""
+    steps: list[tuple[int, float]] = []
+    for sign in (1.0, -1.0):
+        flagged = np.flatnonzero(sign * change > threshold)
+        if flagged.size == 0:
+            continue
+        for run in np.split(flagged, np.flatnonzero(np.diff(flagged) > 1) + 1):
+            edge = int(run[0] if sign > 0.0 else run[-1])
+            steps.append((edge, float(change[edge])))
+    return sorted(steps)
+
+
+def without_jumps(host: Floats, jumps: list[tuple[int, float]]) -> Floats:
+    """The host's times as if its clock had gone on as before each (first row after, size in s)."""
+    repaired = host.copy()
+    for row, size in jumps:
+        repaired[row:] -= size
+    return repaired
+
+
+def _counter_increments(counter: Ints, tick: float, span: int | None, host: Floats) -> tuple[Floats, Floats]:
+    """Advance of the counter from row to row (s, within half a span), and by how much less than the host's."""
+    ahead = np.diff(counter)
+    if span is None:
+        return ahead * tick, np.diff(host) - ahead * tick
+    step = ((ahead + span // 2) % span - span // 2) * tick
+    short = np.diff(host) - step
+    period = span * tick
+    settled = (short + period / 2) % period - period / 2
+    return step, np.where(np.abs(step) < NEIGHBOURS, short, settled)
+
+
+def _continuous_device(counter: Ints, tick: float, span: int | None, host: Floats) -> Floats:
+    """A segment's counter in seconds since its first row, wraps taken out."""
+    start = int(counter[0])
+    if span is None:
+        return np.asarray((counter - start) * tick)
+    return np.asarray((unwrap(counter, span, (host - host[0]) / tick) - start) * tick)
+
+
+def sample_times(
+    host: Floats,
+    counter: Ints | None,
+    seq: Ints | None,
+    rate: float,
+    tick: float = 1.0e-6,
+    span: int | None = COUNTER_SPAN,
+) -> SampleTimes:
+    """Instants of a unit's samples on the host's clock, up to the least latency.
+
+    Parameters
+    ----------
+    host : (N,) s, arrival by the host's clock, in the order of arrival, N ≥ 1
+    counter : (N,) the unit's own counter, in units of `tick` seconds, wrapping at `span` (None: never);
+        without a counter the host's time is the time
+    seq : (N,) counter of samples, wraps at 2^16; None: lost samples are counted from gaps
+    rate : Hz, nominal
+
+    Raises
+    ------
+    ClockError : without a counter, time that falls back.
+    """
+    if counter is None:
+        return _host_only(host, seq, rate)
+    step, short = _counter_increments(counter, tick, span, host)
+    near = np.abs(step) < NEIGHBOURS
+    resets = np.flatnonzero(~near & (np.abs(short) > RESET_STEP)) + 1
+    jumps = [(int(i) + 1, float(short[i])) for i in np.flatnonzero(near & (np.abs(short) > HUGE_STEP))]
+    host = without_jumps(host, jumps)
+    bounds = np.concatenate([[0], resets, [host.size]])
+    segments = [slice(int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    window = round(STEP_WINDOW * rate)
+    smaller = [
+        (part.start + row, size)
+        for part in segments
+        for row, size in _offset_steps(counter[part], tick, span, host[part], window)
+    ]
+    host = without_jumps(host, smaller)
+    devices = [_continuous_device(counter[part], tick, span, host[part]) for part in segments]
+    return _fitted(host, devices, segments, seq, rate, _wraps(counter, span), tuple(sorted(jumps + smaller)))
+
+
+def _offset_steps(
+    counter: Ints, tick: float, span: int | None, host: Floats, window: int
+) -> list[tuple[int, float]]:
+    offset = host - _continuous_device(counter, tick, span, host)
+    return find_steps(offset, window, DEVICE_STEP)
+
+
+def _wraps(counter: Ints, span: int | None) -> int:
+    """How often the counter fell from near its end to near its start."""
+    return 0 if span is None else int(np.count_nonzero(np.diff(counter) < -span * 3 // 4))
+
+
+def _fitted(
+    host: Floats,
+    devices: list[Floats],
+    segments: list[slice],
+    seq: Ints | None,
+    rate: float,
+    wraps: int,
+    jumps: tuple[tuple[int, float], ...],
+) -> SampleTimes:
+    """Fit each segment's counter to the host's clock; one crystal, so the longest segment's rate serves all."""
+    longest = max(range(len(segments)), key=lambda k: devices[k].size)
+    slope = _device_line(devices[longest], host[segments[longest]]).slope
+    index, t, doubled, disordered, lost = [], [], 0, 0, 0
+    for part, device in zip(segments, devices, strict=True):
+        if device.size < MIN_SEGMENT and len(segments) > 1:
+            continue
+        order = np.argsort(device, kind="stable")
+        fresh = np.diff(device[order], prepend=-np.inf) > 0.0
+        disordered += int(np.count_nonzero(np.diff(device) < 0.0))
+        doubled += int(np.count_nonzero(~fresh))
+        kept = order[fresh]
+        line = _device_line(device, host[part], slope, SHARED_RATE_SD) if len(segments) > 1 else None
+        line = line or _device_line(device, host[part])
+        lost += _lost(device[kept], None if seq is None else seq[part][kept], rate)
+        index.append(kept + part.start)
+        t.append(device[kept] + line(device[kept]))
+    rows, times = np.concatenate(index), np.concatenate(t)
+    rising = times > np.maximum.accumulate(np.concatenate([[-np.inf], times[:-1]]))
+    resets = np.array([part.start for part in segments[1:]], dtype=np.int64)
+    return SampleTimes(
+        rows[rising],
+        times[rising],
+        host[rows[rising]],
+        -slope,
+        doubled,
+        disordered,
+        lost,
+        wraps,
+        resets,
+        jumps,
+    )
+
+
+def _device_line(
+    device: Floats, host: Floats, slope: float = 0.0, slope_sd: float = DEVICE_DRIFT_SD
+) -> ClockLine:
+    return one_sided_line(device, host - device, slope, slope_sd)
+
+
+def _lost(t: Floats, seq: Ints | None, rate: float) -> int:
+    """Samples missing between the first and the last: gaps of `seq`, or of time where there is none."""
+    if t.size < 2:
+        return 0
+    if seq is None:
+        return int(np.maximum(np.rint(np.diff(t) * rate) - 1, 0).sum())
+    whole = unwrap(seq, SEQ_SPAN, (t - t[0]) * rate)
+    return max(int(whole.max() - whole.min()) + 1 - np.unique(whole).size, 0)
+
+
+def _host_only(host: Floats, seq: Ints | None, rate: float) -> SampleTimes:
+    falls = np.diff(host) < 0.0
+    if falls.any():
+        row = int(np.argmax(falls)) + 1
+        amount = 1.0e3 * (host[row - 1] - host[row])
+        raise ClockError(
+            f"time falls back by {amount:.1f} ms; sort the log, or split it where the logger restarted", row
+        )
+    fresh = np.diff(host, prepend=-np.inf) > 0.0
+    kept = np.flatnonzero(fresh)
+    lost = _lost(host[kept], None if seq is None else seq[kept], rate)
+    doubled = int(host.size - kept.size)
+    none = np.zeros(0, dtype=np.int64)
+    return SampleTimes(kept, host[kept], host[kept], float("nan"), doubled, 0, lost, 0, none, ())
+
+
+@dataclass(frozen=True)
+class HostToUtc:
+    """UTC = host - offset(host): the logger's clock against UTC, GNSS's assumed least latency taken off."""
+
+    line: ClockLine
+    latency: float
+
+    def __call__(self, host: Floats) -> Floats:
+        return np.asarray(host - self.line(host) + self.latency)
+
+
+def steady_host(host: Floats, utc: Floats, rate: float) -> tuple[Floats, list[tuple[int, float]]]:
+    """The host's times of GNSS epochs with lasting jumps of that clock taken out, and the jumps."""
+    window = max(MIN_EPOCHS, round(STEP_WINDOW * rate))
+    jumps = find_steps(host - utc, window, GNSS_STEP)
+    return without_jumps(host, jumps), jumps
+
+
+def host_to_utc(host: Floats, utc: Floats, latency: float) -> HostToUtc:
+    """The map of the logger's clock to UTC from sentences' arrivals, host = UTC + offset + latency.
+
+    The least latency cannot be told from the offset: `latency` (s) is its prior mean.
+    """
+    return HostToUtc(one_sided_line(host, host - utc, 0.0, HOST_DRIFT_SD), latency)

@@ -1,0 +1,75 @@
+"""What a person needs to trust a log: rates, gaps, latency, fix quality. Plain JSON values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .manifest import Manifest
+from .streams import FieldLog, Floats, GnssStream, ImuStream, Stream
+
+GAP = 2.5  # nominal intervals: longer is a gap
+
+
+def health_of(log: FieldLog, clock_facts: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Findings by sensor name (and `clock`: the logger against UTC), as JSON values.
+
+    clock_facts : by sensor what the clock reconstruction found; what is only known when raw files are read
+        (drift, wraps, lost samples). Without them those of `log.health` are kept.
+    """
+    known = log.health if clock_facts is None else clock_facts
+    found: dict[str, Any] = {}
+    for name, stream in log.streams.items():
+        found[name] = (
+            _timing(stream, _rate(log.manifest, name)) | _by_kind(stream) | dict(known.get(name, {}))
+        )
+    if "clock" in known:
+        found["clock"] = dict(known["clock"])
+    return found
+
+
+def _rate(manifest: Manifest, name: str) -> float:
+    return float(manifest.sensors[name].rate)
+
+
+def _timing(stream: Stream, rate: float) -> dict[str, Any]:
+    """Count, span, rate and gaps of a stream."""
+    if stream.t.size < 2:
+        return {"samples": int(stream.t.size), "rate_hz": None, "gaps": 0, "longest_gap_s": None}
+    step = np.diff(stream.t)
+    return {
+        "samples": int(stream.t.size),
+        "start": float(stream.t[0]),
+        "duration_s": float(stream.t[-1] - stream.t[0]),
+        "rate_hz": float(1.0 / np.median(step)),
+        "nominal_rate_hz": rate,
+        "gaps": int(np.count_nonzero(step > GAP / rate)),
+        "longest_gap_s": float(step.max()),
+    }
+
+
+def _by_kind(stream: Stream) -> dict[str, Any]:
+    if isinstance(stream, GnssStream):
+        return _fixes(stream)
+    if isinstance(stream, ImuStream):
+        return {"mean_specific_force": float(np.linalg.norm(stream.specific_force, axis=1).mean())}
+    return {}
+
+
+def _fixes(stream: GnssStream) -> dict[str, Any]:
+    """Share of epochs by fix quality, and the least and median delay of sentences."""
+    codes, counts = np.unique(stream.quality, return_counts=True)
+    delay = stream.t_arrival - stream.t
+    return {
+        "quality": {str(int(code)): int(count) for code, count in zip(codes, counts, strict=True)},
+        "without_position": int(np.isnan(stream.lat).sum()),
+        "median_sd_m": _median(np.hypot(stream.sd_east, stream.sd_north)),
+        "delay_s": {"least": float(delay.min()), "median": float(np.median(delay))},
+    }
+
+
+def _median(values: Floats) -> float | None:
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if known.size else None

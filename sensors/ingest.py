@@ -1,0 +1,240 @@
+"""A raw pass's folder -> FieldLog: manifest, every file, clocks reconciled, health."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import clocks, manifest
+from .clocks import ClockError, HostToUtc, SampleTimes
+from .formats import FORMATS
+from .health import health_of
+from .manifest import Manifest, Sensor
+from .raw import Floats, Ints, Raw, RawError, RawGnss, RawImu, RawSteer
+from .streams import FieldLog, GnssStream, ImuStream, SteerStream, Stream, Warn, WheelStream
+
+MANIFEST = "run.toml"
+HEAD = 4096
+
+
+class IngestError(ValueError):
+    """A raw pass that cannot be used; one line: what, where (file, row), how to mend it."""
+
+
+@dataclass(frozen=True)
+class HostTimes:
+    """Sample times of one stream on the pass's host clock, and where its samples came from."""
+
+    name: str
+    file: str
+    rows: Ints
+    times: SampleTimes
+
+
+def read_pass(folder: Path) -> FieldLog:
+    """The pass in a folder: `run.toml` and the files that it names.
+
+    Raises IngestError or ManifestError : one line, with file and row.
+    """
+    run, text = manifest.read(folder / MANIFEST)
+    try:
+        paths = {name: source_path(folder, name, sensor) for name, sensor in run.sensors.items()}
+        raws = {name: _read(paths[name], run.sensors[name], name, run) for name in paths}
+        return _assemble(run, text, folder, paths, raws)
+    except RawError as error:
+        raise IngestError(f"{folder.name}/{error}") from None
+
+
+def source_path(folder: Path, name: str, sensor: Sensor) -> Path:
+    """A sensor's file, which must be a file in the pass's folder, links followed.
+
+    Raises RawError : it is missing, or leads out of the folder.
+    """
+    if sensor.file is None:
+        raise RawError(f"{MANIFEST}: sensors.{name} has a `topic`, but a raw pass's folder needs its `file`")
+    path = folder / sensor.file.replace("\\", "/")
+    try:
+        real = path.resolve(strict=True)
+    except (OSError, RuntimeError):
+        raise RawError(f"{sensor.file}: is not there; sensors.{name} of {MANIFEST} names it") from None
+    if not real.is_relative_to(folder.resolve()):
+        raise RawError(f"{sensor.file}: leads out of the pass's folder; copy the file into it")
+    return path
+
+
+def _read(path: Path, sensor: Sensor, name: str, run: Manifest) -> Raw:
+    with path.open("rb") if path.is_file() else _not_a_file(path) as file:
+        head = file.read(HEAD)
+    for candidate in FORMATS:
+        if candidate.reads(sensor, path, head):
+            raw: Raw = candidate.read(path, sensor, name, run.run.date)
+            return raw
+    raise RawError(f"{path.name}: no known format for a sensor of this kind; see docs/formats.md")
+
+
+def _not_a_file(path: Path) -> Any:
+    raise RawError(f"{path.name}: is not a regular file")
+
+
+def _assemble(
+    run: Manifest, text: str, folder: Path, paths: Mapping[str, Path], raws: Mapping[str, Raw]
+) -> FieldLog:
+    base = _base_ns(raws.values())
+    timed, warnings, facts = _host_times(run, raws, base)
+    to_utc, gnss_warnings, clock = _utc_map(run, raws, base)
+    streams: dict[str, Stream] = {}
+    for name, raw in raws.items():
+        if isinstance(raw, RawGnss):
+            streams[name] = _gnss(name, raw, to_utc, base)
+        else:
+            streams[name] = _stream(run.sensors[name].kind, name, raw, timed[name], to_utc, base)
+    found = [warning for raw in raws.values() for warning in raw.warnings]
+    log = FieldLog(
+        manifest=run,
+        manifest_text=text,
+        streams=streams,
+        warnings=tuple(found + warnings + gnss_warnings),
+        source=str(folder),
+        sha256=_digest([folder / MANIFEST, *paths.values()]),
+    )
+    return replace(log, health=health_of(log, facts | {"clock": clock}))
+
+
+def _base_ns(raws: Iterable[Raw]) -> int:
+    """A whole second near the start of the host's times, so that float64 seconds from it keep nanoseconds."""
+    starts = [int(np.median(raw.host_ns)) for raw in raws if raw.host_ns is not None and raw.host_ns.size]
+    if not starts:
+        raise RawError(f"{MANIFEST}: no file holds a time of the logger")
+    return min(starts) // 10**9 * 10**9
+
+
+def _seconds(host_ns: Ints, base: int) -> Floats:
+    return np.asarray((host_ns - base) * 1.0e-9)
+
+
+def _host_times(
+    run: Manifest, raws: Mapping[str, Raw], base: int
+) -> tuple[dict[str, SampleTimes], list[Warn], dict[str, Any]]:
+    timed: dict[str, SampleTimes] = {}
+    warnings: list[Warn] = []
+    facts: dict[str, Any] = {}
+    for name, raw in raws.items():
+        if isinstance(raw, RawGnss):
+            continue
+        file = str(run.sensors[name].file)
+        times = _sample_times(raw, run.sensors[name].rate, base, file)
+        timed[name] = times
+        warnings += _clock_warnings(times, raw.rows, name, file)
+        facts[name] = _clock_facts(times)
+    return timed, warnings, facts
+
+
+def _sample_times(raw: RawImu | RawSteer, rate: float, base: int, file: str) -> SampleTimes:
+    host = _seconds(raw.host_ns, base)
+    try:
+        if isinstance(raw, RawSteer):
+            return clocks.sample_times(host, None, None, rate)
+        return clocks.sample_times(host, raw.counter, raw.seq, rate, raw.tick, raw.span)
+    except ClockError as error:
+        where = f"{file}, row {raw.rows[error.row]}" if error.row is not None else file
+        raise RawError(f"{where}: {error}") from None
+
+
+def _clock_warnings(times: SampleTimes, rows: Ints, name: str, file: str) -> list[Warn]:
+    found = []
+    if times.doubled:
+        found.append(Warn(f"{times.doubled} doubled rows", "the first of each is used", name, file))
+    if times.disordered:
+        found.append(
+            Warn(f"{times.disordered} rows out of order", "sorted by the unit's counter", name, file)
+        )
+    if times.lost:
+        found.append(Warn(f"{times.lost} samples lost", "left as gaps", name, file))
+    for row in times.resets.tolist():
+        found.append(
+            Warn("the unit's counter was reset", "fitted anew from there", name, file, int(rows[row]))
+        )
+    for row, size in times.host_jumps:
+        what = f"the logger's clock jumped by {size:.3f} s"
+        found.append(Warn(what, "taken out", name, file, int(rows[row])))
+    return found
+
+
+def _clock_facts(times: SampleTimes) -> dict[str, Any]:
+    latency = times.host - times.t
+    return {
+        "drift_ppm": None if np.isnan(times.drift) else 1.0e6 * times.drift,
+        "latency_above_least_ms": {
+            "median": 1.0e3 * float(np.median(latency)),
+            "p99": 1.0e3 * float(np.percentile(latency, 99)),
+        },
+        "doubled": times.doubled,
+        "disordered": times.disordered,
+        "lost": times.lost,
+        "counter_wraps": times.wraps,
+        "counter_resets": int(times.resets.size),
+        "host_jumps": len(times.host_jumps),
+    }
+
+
+def _utc_map(
+    run: Manifest, raws: Mapping[str, Raw], base: int
+) -> tuple[HostToUtc, list[Warn], dict[str, Any]]:
+    """The logger's clock against UTC, from the GPS whose sentences came through best; UTC relative to `base`."""
+    for name, raw in raws.items():
+        if isinstance(raw, RawGnss) and raw.host_ns is not None:
+            sensor = run.sensors[name]
+            host, utc = _seconds(raw.host_ns, base), raw.utc - base * 1.0e-9
+            host, jumps = clocks.steady_host(host, utc, sensor.rate)
+            found = clocks.host_to_utc(host, utc, sensor.latency)
+            file = str(sensor.file)
+            warnings = [
+                Warn(
+                    f"the logger's clock jumped by {size:.3f} s", "taken out", name, file, int(raw.rows[row])
+                )
+                for row, size in jumps
+            ]
+            return found, warnings, _utc_facts(found, name, host)
+    raise RawError(f"{MANIFEST}: no GPS log has the logger's time in front of its sentences")
+
+
+def _utc_facts(found: HostToUtc, name: str, host: Floats) -> dict[str, Any]:
+    middle = float(host.mean())
+    return {
+        "source": name,
+        "host_minus_utc_s": float(found.line(np.array([middle]))[0]) - found.latency,
+        "host_drift_ppm": 1.0e6 * found.line.slope,
+        "assumed_gnss_latency_s": found.latency,
+        "assumed_imu_least_latency_s": clocks.IMU_LEAST_LATENCY,
+    }
+
+
+def _stream(kind: str, name: str, raw: Raw, times: SampleTimes, to_utc: HostToUtc, base: int) -> Stream:
+    epoch = base * 1.0e-9
+    t = to_utc(times.t - clocks.IMU_LEAST_LATENCY) + epoch
+    arrival = to_utc(times.host) + epoch
+    at = times.index
+    if isinstance(raw, RawSteer):
+        return SteerStream(name, t, arrival, raw.angle[at])
+    assert isinstance(raw, RawImu)
+    made = WheelStream if kind == "wds" else ImuStream
+    mag = None if raw.magnetic_field is None else raw.magnetic_field[at]
+    return made(name, t, arrival, raw.specific_force[at], raw.angular_velocity[at], mag)
+
+
+def _gnss(name: str, raw: RawGnss, to_utc: HostToUtc, base: int) -> GnssStream:
+    epoch = base * 1.0e-9
+    arrival = raw.utc if raw.host_ns is None else to_utc(_seconds(raw.host_ns, base)) + epoch
+    return GnssStream(name, raw.utc, arrival, **raw.values)
+
+
+def _digest(paths: Iterable[Path]) -> str:
+    total = hashlib.sha256()
+    for path in sorted(set(paths)):
+        total.update(hashlib.sha256(path.read_bytes()).digest())
+    return total.hexdigest()
