@@ -1,0 +1,371 @@
+"""What a synthetic pass shall be: the plan of a twin, its named presets and its TOML form.
+
+A plan is a tree of small frozen dataclasses; a TOML file names the same keys, starts from a preset when it
+says `preset = "..."`, and changes only what it names. All values are SI unless a key carries its unit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import tomllib
+import types
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from datetime import date
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from .twin_machine import MACHINE, SENSORS
+
+Spans = tuple[tuple[float, float], ...]
+Jumps = tuple[tuple[float, float, float], ...]
+
+
+class PlanError(ValueError):
+    """A plan that cannot be used; one line: what, where, how to mend."""
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """The `[run]` table: id names the pass and its folder; start is the UTC second of the day of t = 0."""
+
+    id: str = "twin"
+    field: str = "twin-field"
+    direction: str = "east"
+    repeat: int = 1
+    variant: str = "b"
+    date: str = "2025-05-14"
+    start: float = 36000.0
+    tyre_pressure_mpa: float = 0.12
+
+
+@dataclass(frozen=True)
+class PlacePlan:
+    """Origin of the local plane (the start of the first row) and the heading of travel, ccw from East."""
+
+    lat: float = 50.041266
+    lon: float = 36.485128
+    alt: float = 148.5
+    heading_deg: float = 5.0
+
+
+@dataclass(frozen=True)
+class PathPlan:
+    """Rows, headland turns of 180° between them, and the speed along them.
+
+    duration: s of the whole recording; None: as long as the rows take, with a stop at the end.
+    line: whether run.toml states the intended AB line.
+    """
+
+    rows: int = 1
+    row_length: float = 120.0
+    turn_radius: float = 9.0
+    rest: float = 5.0
+    rest_end: float = 3.0
+    speed: float = 2.8
+    turn_speed: float = 1.6
+    acceleration: float = 0.6
+    duration: float | None = None
+    line: bool = True
+    start_offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class DriverPlan:
+    """A path-following driver, and the weave that excites the machine.
+
+    Preview steering delta = L·2·sin(bearing of the point `preview` s ahead)/distance, seen `delay` s late,
+    through a steering actuator of time constant `lag`; `noise_deg` (1 sigma) with correlation time
+    `noise_time` is his hand; weave is a sine of steering angle over time.
+    """
+
+    preview: float = 2.2
+    delay: float = 0.35
+    lag: float = 0.15
+    noise_deg: float = 0.35
+    noise_time: float = 0.8
+    weave_deg: float = 0.0
+    weave_period: float = 5.0
+    limit_deg: float = 38.0
+    speed_sd: float = 0.03
+    speed_time: float = 4.0
+
+
+@dataclass(frozen=True)
+class SoilPlan:
+    """Ground under the machine.
+
+    side_force_*, yaw_moment_*: 1 sigma of the disturbance at each body (N, N·m), Gauss-Markov over distance
+    with `correlation_length` m. roughness: displacement spectral density at 0.1 cycles/m, m³ (ISO 8608:
+    class C 256e-6, D 1024e-6, E 4096e-6). slope_*: grade of the terrain. slip: mean longitudinal slip of
+    the tractor's wheels, slip_sd its scatter. crab_*_deg: constant angle between a body's axis and its
+    course.
+    """
+
+    side_force_tractor: float = 900.0
+    side_force_seeder: float = 900.0
+    yaw_moment_tractor: float = 500.0
+    yaw_moment_seeder: float = 700.0
+    correlation_length: float = 1.5
+    roughness: float = 1500e-6
+    slope_east: float = 0.004
+    slope_north: float = -0.006
+    slip: float = 0.06
+    slip_sd: float = 0.008
+    slip_time: float = 1.5
+    crab_tractor_deg: float = 0.0
+    crab_seeder_deg: float = 0.0
+
+
+@dataclass(frozen=True)
+class GnssPlan:
+    """Errors of the GNSS receivers. Spans are (start, length) in s after t = 0, spikes (start, length,
+    size m).
+
+    kind: quality where no span says otherwise. latency: least delay from validity to arrival; None draws
+    it from 20 to 150 ms. latency_jitter: mean of the exponential rest. heading_noise_deg: of HDT, when
+    `heading`.
+    """
+
+    kind: Literal["rtk_fixed", "rtk_float", "dgps", "single"] = "rtk_fixed"
+    outages: Spans = ()
+    floats: Spans = ()
+    singles: Spans = ()
+    spikes: Jumps = ()
+    latency: float | None = None
+    latency_jitter: float = 0.01
+    heading: tuple[str, ...] = ()
+    heading_noise_deg: float = 0.15
+    heading_bias_deg: float = 0.1
+    gst: bool = True
+    rmc: bool = True
+
+
+@dataclass(frozen=True)
+class ErrorPlan:
+    """How good the sensors are: 1 sigma of what is constant in a pass, and the level of the rest.
+
+    misalignment_deg: of a unit against its stated mounting, about each axis. bias_scale, noise_scale:
+    multiply the data-sheet figures of `twin_inertial`. wheel_radius: relative doubt of each wheel's
+    radius. sway: scale of roll and pitch over rough ground. roll_centre_*: height above ground of the
+    axis a body rolls about; None: through its CoM. steer_*: the steering sensor's zero and noise.
+    """
+
+    misalignment_deg: float = 0.2
+    bias_scale: float = 1.0
+    noise_scale: float = 1.0
+    vibration: float = 1.0
+    wheel_radius: float = 0.012
+    lever_arm: float = 0.0
+    roll_centre_tractor: float | None = None
+    roll_centre_seeder: float | None = None
+    steer_zero_deg: float = 0.25
+    steer_scale: float = 0.007
+    steer_noise_deg: float = 0.08
+    magnetometers: bool = True
+
+
+@dataclass(frozen=True)
+class ClockPlan:
+    """Clocks: the logger's offset from UTC (s; None draws within ±5 s) and its drift, the units' drift
+    (1 sigma), and whether counters start just below their wrap, so that they wrap within the pass."""
+
+    host_offset: float | None = None
+    host_drift_ppm: float = 0.0
+    drift_ppm: float = 60.0
+    latency: float = 0.001
+    latency_jitter: float = 0.003
+    wrap: bool = False
+    no_device_time: bool = False
+    no_seq: bool = False
+
+
+@dataclass(frozen=True)
+class FaultPlan:
+    """What goes wrong in the files: shares of rows, and spans (sensor, start, length) without any."""
+
+    lost: float = 0.001
+    doubled: float = 0.0003
+    disordered: float = 0.0
+    empty: float = 0.0
+    bad_checksums: float = 0.0
+    cut_last_row: bool = False
+    gaps: tuple[tuple[str, float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class TwinPlan:
+    """A synthetic pass: what is driven, by which machine, over which ground, seen by which sensors.
+
+    machine, sensors, conditions: the tables of run.toml, as the researcher believes them. truth: factors on
+    dotted keys of [machine] by which the true machine differs ("tyres.front.cornering_stiffness" = 0.35).
+    dynamics: "model" integrates the two-mass equations; "kinematic" rolls with side slip, independent of
+    `model`.
+    """
+
+    run: RunPlan = RunPlan()
+    place: PlacePlan = PlacePlan()
+    path: PathPlan = PathPlan()
+    driver: DriverPlan = DriverPlan()
+    soil: SoilPlan = SoilPlan()
+    gnss: GnssPlan = GnssPlan()
+    errors: ErrorPlan = ErrorPlan()
+    clocks: ClockPlan = ClockPlan()
+    faults: FaultPlan = FaultPlan()
+    machine: Mapping[str, Any] = field(default_factory=lambda: MACHINE)
+    sensors: Mapping[str, Any] = field(default_factory=lambda: SENSORS)
+    truth: Mapping[str, float] = field(default_factory=dict)
+    conditions: Mapping[str, Any] = field(default_factory=dict)
+    dynamics: Literal["model", "kinematic"] = "model"
+
+
+BAD_SENSORS = ErrorPlan(misalignment_deg=0.7, bias_scale=3.0, wheel_radius=0.02)
+METRE_LEVEL = GnssPlan(kind="single")
+WRONG_MACHINE = {
+    "tyres.front.cornering_stiffness": 0.35,
+    "tyres.rear.cornering_stiffness": 0.35,
+    "tyres.seeder.cornering_stiffness": 0.35,
+    "seeder.hitch_to_com": 1.4,
+}
+
+PRESETS: Mapping[str, TwinPlan] = types.MappingProxyType(
+    {
+        "benign": TwinPlan(path=PathPlan(duration=60.0, row_length=200.0)),
+        "bad_sensors": TwinPlan(
+            path=PathPlan(duration=60.0, row_length=200.0), errors=BAD_SENSORS, faults=FaultPlan(lost=0.02)
+        ),
+        "outage": TwinPlan(
+            path=PathPlan(duration=60.0, row_length=200.0),
+            gnss=GnssPlan(outages=((25.0, 8.0),), floats=((33.0, 10.0),)),
+        ),
+        "headland": TwinPlan(path=PathPlan(rows=2, row_length=70.0)),
+        "metre_gps": TwinPlan(path=PathPlan(duration=60.0, row_length=200.0), gnss=METRE_LEVEL),
+        "wrong_machine": TwinPlan(path=PathPlan(duration=60.0, row_length=200.0), truth=WRONG_MACHINE),
+    }
+)
+
+
+def preset(name: str) -> TwinPlan:
+    """The named plan. Raises PlanError with the nearest name."""
+    if name not in PRESETS:
+        raise PlanError(f"no preset {name!r}{_near(name, PRESETS)}; there are {', '.join(sorted(PRESETS))}")
+    return PRESETS[name]
+
+
+def read_plan(path: Path) -> TwinPlan:
+    """The plan of a TOML file. Raises PlanError: what, where, how to mend."""
+    return plan_from(_toml(path), str(path))
+
+
+def plan_from(table: Mapping[str, Any], where: str = "plan") -> TwinPlan:
+    """A plan from its TOML form: `preset` (default "benign") changed by the tables that are named."""
+    rest = dict(table)
+    try:
+        start = preset(str(rest.pop("preset", "benign")))
+        return _changed(start, rest, ())
+    except PlanError as error:
+        raise PlanError(f"{where}: {error}") from None
+
+
+def with_value(plan: TwinPlan, key: str, value: Any) -> TwinPlan:
+    """The plan with one dotted key changed: with_value(plan, "soil.roughness", 1e-3)."""
+    nested: Any = value
+    for part in reversed(key.split(".")):
+        nested = {part: nested}
+    return _changed(plan, nested, ())
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise PlanError(f"{path}: cannot be read: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise PlanError(f"{path}: not valid TOML: {error}") from None
+
+
+def _changed(value: Any, table: Mapping[str, Any], where: tuple[str, ...]) -> Any:
+    """A dataclass with the keys of `table` replaced, recursively; free tables are merged."""
+    hints = get_type_hints(type(value))
+    new = {}
+    for key, given in table.items():
+        if key not in hints:
+            raise PlanError(f"{'.'.join((*where, key))}: unknown key{_near(key, hints)}")
+        new[key] = _converted(getattr(value, key), given, hints[key], (*where, key))
+    return replace(value, **new)
+
+
+def _converted(old: Any, given: Any, kind: Any, where: tuple[str, ...]) -> Any:
+    if is_dataclass(old) or isinstance(old, Mapping):
+        if not isinstance(given, Mapping):
+            raise PlanError(f"{'.'.join(where)}: must be a table")
+        return _changed(old, given, where) if is_dataclass(old) else _merged(old, given)
+    if not _fits(given, kind):
+        raise PlanError(f"{'.'.join(where)}: {given!r} is not {_spoken(kind)}")
+    return _frozen(given, kind)
+
+
+def _fits(given: Any, kind: Any) -> bool:
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return given in arguments
+    if origin in (types.UnionType, Union):
+        return any(_fits(given, one) for one in arguments)
+    if origin is tuple:
+        return _fits_tuple(given, arguments)
+    if kind is float:
+        return isinstance(given, int | float) and not isinstance(given, bool) and given == given
+    if kind is int:
+        return isinstance(given, int) and not isinstance(given, bool)
+    return isinstance(given, kind) or (kind is str and isinstance(given, date))
+
+
+def _fits_tuple(given: Any, arguments: tuple[Any, ...]) -> bool:
+    if not isinstance(given, list | tuple):
+        return False
+    if len(arguments) == 2 and arguments[1] is Ellipsis:
+        return all(_fits(item, arguments[0]) for item in given)
+    return len(given) == len(arguments) and all(_fits(g, a) for g, a in zip(given, arguments, strict=True))
+
+
+def _frozen(given: Any, kind: Any) -> Any:
+    if isinstance(given, list | tuple):
+        return tuple(_frozen(item, None) for item in given)
+    if isinstance(given, date):
+        return given.isoformat()
+    return float(given) if kind is float else given
+
+
+def _merged(old: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """`old` with the keys of `given`, tables within tables merged; false removes a table."""
+    out = dict(old)
+    for key, value in given.items():
+        if value is False and isinstance(old.get(key), Mapping):
+            del out[key]
+        elif isinstance(value, Mapping) and isinstance(old.get(key), Mapping):
+            out[key] = _merged(old[key], value)
+        else:
+            out[key] = value
+    return out
+
+
+def _spoken(kind: Any) -> str:
+    if get_origin(kind) is Literal:
+        return "one of " + ", ".join(map(repr, get_args(kind)))
+    return "of type " + (kind.__name__ if isinstance(kind, type) else str(kind))
+
+
+def _near(key: str, known: Any) -> str:
+    near = difflib.get_close_matches(key, list(known), n=1, cutoff=0.5)
+    return f"; did you mean `{near[0]}`?" if near else ""
+
+
+def as_table(plan: Any) -> dict[str, Any]:
+    """A plan as plain TOML values, None left out (for the record beside the truth)."""
+    out: dict[str, Any] = {}
+    for item in fields(plan):
+        value = getattr(plan, item.name)
+        if value is not None:
+            out[item.name] = as_table(value) if dataclasses.is_dataclass(value) else value
+    return out
