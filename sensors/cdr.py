@@ -92,7 +92,7 @@ class Layout:
 
     def fits(self, payloads: Bytes) -> NDArray[np.bool_]:
         """Which rows of an (n, length) matrix have this encapsulation and all these length prefixes."""
-        good = (payloads[:, 0] == 0) & (payloads[:, 1] == (1 if self.order == "<" else 0))
+        good: NDArray[np.bool_] = (payloads[:, 0] == 0) & (payloads[:, 1] == (1 if self.order == "<" else 0))
         for at, value in zip(self.prefix_at, self.prefix, strict=True):
             good &= _view(payloads, int(at), self.order + "u4", 1)[:, 0] == value
         return good
