@@ -26,8 +26,9 @@ from . import twin_clocks as clocks
 from . import twin_gnss as gnss
 from . import twin_inertial as inertial
 from . import twin_writing as writing
+from .twin_dynamics import dynamic
 from .twin_ground import attitudes
-from .twin_motion import STEP, PlanarMotion, drive
+from .twin_motion import STEP, PlanarMotion, kinematic, planned
 from .twin_path import smooth_wander
 from .twin_plan import PlanError, TwinPlan, as_table
 from .twin_rigid import YAW, BodyPath, Feel, WheelPath, body_path, wheel_path
@@ -139,7 +140,9 @@ def true_machine(plan: TwinPlan) -> dict[str, Any]:
 def make_world(plan: TwinPlan, seed: int) -> World:
     """Everything true of the pass."""
     machine = true_machine(plan)
-    motion = drive(plan, machine, stream(seed, "drive"))
+    drive = stream(seed, "drive")
+    move = dynamic if plan.dynamics == "model" else kinematic
+    motion = move(plan, machine, *planned(plan, drive), drive)
     first, second = attitudes(plan, machine, motion, stream(seed, "ground"))
     errors = plan.errors
     bodies = {

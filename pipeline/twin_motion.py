@@ -18,6 +18,7 @@ from .twin_plan import DriverPlan, TwinPlan
 Floats = NDArray[np.float64]
 
 STEP = 0.005  # s, grid of the truth
+CREEP = 0.3  # m/s, below which nobody turns the wheel
 
 
 @dataclass(frozen=True)
@@ -39,15 +40,12 @@ class PlanarMotion:
     steer: Floats
 
 
-def drive(plan: TwinPlan, machine: Mapping[str, Any], rng: np.random.Generator) -> PlanarMotion:
-    """The machine's motion along the planned path. machine: the true [machine] table."""
-    heading = math.radians(plan.place.heading_deg)
-    path = make_path(plan.path, heading)
+def planned(plan: TwinPlan, rng: np.random.Generator) -> tuple[Path, Floats]:
+    """The path, and the speed asked for every STEP s, a little unsteady."""
+    path = make_path(plan.path, math.radians(plan.place.heading_deg))
     speed = speed_profile(speed_limit(path, plan.path), plan.path, STEP)
-    speed = speed * (
-        1.0 + plan.driver.speed_sd * smooth_wander(speed.size, STEP, plan.driver.speed_time, rng)
-    )
-    return kinematic(plan, machine, path, speed, rng)
+    unsteady = plan.driver.speed_sd * smooth_wander(speed.size, STEP, plan.driver.speed_time, rng)
+    return path, speed * (1.0 + unsteady)
 
 
 def kinematic(
@@ -62,13 +60,13 @@ def kinematic(
     """
     n = speed.size
     slips = _slips(plan, machine, n, rng)
-    hand = _hand(plan.driver, n, rng)
+    added = hand(plan.driver, speed, rng)
     geometry = _geometry(machine)
     start = _start(path, plan.path.start_offset, geometry)
     out = np.empty((n, 5))
     driver = plan.driver
     _roll(
-        start, speed, slips, hand, path.x, path.y, geometry,
+        start, speed, slips, added, path.x, path.y, geometry,
         np.array([driver.preview, driver.delay, driver.lag, math.radians(driver.limit_deg)]), out,
     )  # fmt: skip
     return _bodies(out, machine)
@@ -106,11 +104,12 @@ def _slips(plan: TwinPlan, machine: Mapping[str, Any], n: int, rng: np.random.Ge
     )
 
 
-def _hand(driver: DriverPlan, n: int, rng: np.random.Generator) -> Floats:
-    """What the driver adds to the steering that the path asks for, rad: his hand, and the weave."""
-    t = np.arange(n) * STEP
+def hand(driver: DriverPlan, speed: Floats, rng: np.random.Generator) -> Floats:
+    """What the driver adds to the steering that the path asks for, rad: his hand, and the weave; none at rest."""
+    t = np.arange(speed.size) * STEP
     weave = math.radians(driver.weave_deg) * np.sin(2.0 * math.pi * t / driver.weave_period)
-    return math.radians(driver.noise_deg) * smooth_wander(n, STEP, driver.noise_time, rng) + weave
+    noise = math.radians(driver.noise_deg) * smooth_wander(speed.size, STEP, driver.noise_time, rng)
+    return np.asarray((noise + weave) * np.tanh(speed / CREEP))
 
 
 @njit(cache=True)
@@ -152,7 +151,7 @@ def _roll(
         v = speed[k]
         near = _nearest(px, py, x, y, near)
         asked[k] = _preview_angle(px, py, near, x, y, yaw, max(preview * v, 2.5), wheelbase) + hand[k]
-        moving = math.tanh(v / 0.3)  # nobody turns the wheel of a standing tractor
+        moving = math.tanh(v / CREEP)
         target = min(max(asked[max(k - delay, 0)], -limit), limit)
         steer += STEP / lag * moving * (target - steer)
         w = v * (math.tan(steer) + slips[k, 0] - slips[k, 1]) / wheelbase
