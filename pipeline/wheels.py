@@ -1,0 +1,276 @@
+"""Wheel-mounted inertial units: phase, spin, the wheel's yaw rate, and the front wheels' steering angle.
+
+`wheel_motion` turns one unit's stream into its wheel's motion (method: wheel_phase.py, wheel_yaw.py),
+`steer_from_wheels` the front wheels' yaw rates into a steering angle, `choose_steer_input` picks the series
+that may drive the replay. How each is made, what it may and may not touch, and how large its error is:
+docs/method-wheels.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from ..sensors.manifest import Imd, Machine, Steer, Tractor, Wds
+from ..sensors.mounting import to_body
+from ..sensors.streams import FieldLog, ImuStream, SteerStream, StreamError, Warn, WheelStream
+from .fusion.motion import SteerInput
+from .wheel_phase import Bools, Doubt, estimate_phase
+from .wheel_series import Floats, robust_sd
+from .wheel_steer import TurnedWheel, WheelSteer, sensor_angle, steering_angle
+from .wheel_yaw import estimate_yaw_rate
+
+__all__ = [
+    "Carrier",
+    "WheelMotion",
+    "WheelSteer",
+    "carriers",
+    "choose_steer_input",
+    "steer_from_sensor",
+    "steer_from_wheels",
+    "wheel_motion",
+    "wheel_motions",
+]
+
+LEAST_SAMPLES = 200  # two seconds: less says nothing of phase, bias and noise
+FULL_SCALES = np.radians([250.0, 500.0, 1000.0, 2000.0, 4000.0])  # rad/s, of common gyros
+SPIKE = 10.0  # robust standard deviations from the median of five
+COVERAGE = 0.95  # share of the grid a steering sensor must cover to be chosen
+
+
+@dataclass(frozen=True)
+class Carrier:
+    """Angular velocity (M, 3) [rad/s] of the body that carries the wheels, along its own axes, at t (M,)
+    [s, UTC].
+    """
+
+    t: Floats
+    angular_velocity: Floats
+
+    def at(self, t: Floats) -> Floats:
+        """Interpolated to other instants, (N, 3)."""
+        return np.column_stack([np.interp(t, self.t, axis) for axis in self.angular_velocity.T])
+
+
+@dataclass(frozen=True)
+class WheelMotion:
+    """Motion of one wheel from its unit, at the unit's own instants t (N,) [s, UTC].
+
+    phase, phase_sd : rad, unwrapped, positive rolling forward, 0 where the unit's frame is the wheel's
+    spin, spin_sd : rad/s; times the effective radius it is the speed of the hub along the wheel's heading
+    yaw_rate, yaw_rate_sd : rad/s, of the wheel's heading, smoothed; roll_rate : rad/s, of the hub
+    turned, turned_variance : rad and rad², the unsmoothed yaw rate's integral from the first sample and how
+    its
+        variance grows
+    rest : standing still; calibration : constants of the unit with standard deviations, for the report
+    """
+
+    name: str
+    wheel: str
+    t: Floats
+    phase: Floats
+    phase_sd: Floats
+    spin: Floats
+    spin_sd: Floats
+    yaw_rate: Floats
+    yaw_rate_sd: Floats
+    roll_rate: Floats
+    turned: Floats
+    turned_variance: Floats
+    rest: Bools
+    calibration: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    warnings: tuple[Warn, ...] = ()
+
+    @property
+    def front(self) -> bool:
+        return self.wheel.startswith("front")
+
+
+CONSTANTS = (
+    "gyro_bias_axle", "gyro_scale_axle",
+    "accel_bias_x", "accel_bias_z", "offset_error_x", "offset_error_z", "accel_scale",
+)  # fmt: skip
+YAW_CONSTANTS = ("gyro_bias_x", "gyro_bias_z", "tilt_x", "tilt_z")
+
+
+def wheel_motion(
+    stream: WheelStream,
+    sensor: Wds,
+    radius: float,
+    carrier: Carrier | None = None,
+    doubt: Doubt | None = None,
+) -> WheelMotion:
+    """Phase, spin and yaw rate of the wheel that carries a unit.
+
+    radius : m, about the rolling radius (its error matters little: it only scales the vehicle's own
+    acceleration that is taken off gravity); carrier : rates of the body, see `Carrier`; without it the
+    body's pitching stays in the spin and its rolling hides more of the unit's constants
+
+    Raises StreamError when there are too few samples.
+    """
+    if stream.t.size < LEAST_SAMPLES:
+        few = f"{stream.name}: {stream.t.size} samples are too few to find the wheel's phase"
+        raise StreamError(f"{few}; it needs {LEAST_SAMPLES}")
+    doubt = _doubt(sensor) if doubt is None else doubt
+    t = stream.t - stream.t[0]
+    force, rate = to_body(stream, sensor)
+    body = None if carrier is None else carrier.at(stream.t)
+    axle_ok, across_ok = usable(rate[:, 1]), usable(rate[:, 0]) & usable(rate[:, 2])
+    phase = estimate_phase(
+        t,
+        force[:, 2] - 1j * force[:, 0],
+        rate[:, 1],
+        radius,
+        complex(sensor.offset[2], -sensor.offset[0]),
+        axle_ok,
+        doubt,
+        None if body is None else body[:, 1],
+    )
+    yaw = estimate_yaw_rate(t, rate[:, 2] + 1j * rate[:, 0], phase, across_ok, doubt, body)
+    calibration = _named(CONSTANTS, phase.constants.value, phase.constants.sd)
+    return WheelMotion(
+        name=stream.name,
+        wheel=sensor.wheel,
+        t=stream.t,
+        phase=phase.phase,
+        phase_sd=phase.phase_sd,
+        spin=phase.rolling,
+        spin_sd=phase.rolling_sd,
+        yaw_rate=yaw.rate,
+        yaw_rate_sd=yaw.rate_sd,
+        roll_rate=yaw.roll_rate,
+        turned=yaw.turned,
+        turned_variance=yaw.turned_variance,
+        rest=phase.rest,
+        calibration=calibration | _named(YAW_CONSTANTS, yaw.constants.value, yaw.constants.sd),
+        warnings=_unused(stream.name, axle_ok & across_ok),
+    )
+
+
+def usable(gyro: Floats) -> Bools:
+    """Samples of a gyro axis that are neither clipped nor spikes.
+
+    Clipped: three or more equal samples in a row within 1 % of a customary full scale. Spike: `SPIKE` robust
+    standard deviations off the median of its five neighbours.
+    """
+    size = np.abs(gyro)
+    near = (np.abs(size[:, None] / FULL_SCALES - 1.0) < 0.01).any(axis=1)
+    same = np.append(False, near[1:] & (gyro[1:] == gyro[:-1]))
+    run = same & np.append(False, same[:-1])
+    clipped = run | np.append(run[1:], False) | np.append(run[2:], [False, False])
+    off = gyro - median_filter(gyro, 5)
+    limit = SPIKE * max(robust_sd(off), robust_sd(np.diff(gyro)), 1.0e-4)
+    return ~clipped & (np.abs(off) <= limit)
+
+
+def wheel_motions(log: FieldLog) -> dict[str, WheelMotion]:
+    """Every wheel-mounted unit of a log, by sensor name; units with too few samples are left out."""
+    carrier = next(iter(carriers(log)), None)
+    found = {}
+    for name, sensor in log.manifest.of_kind("wds").items():
+        stream = log.streams.get(name)
+        if isinstance(stream, WheelStream) and stream.t.size >= LEAST_SAMPLES:
+            found[name] = wheel_motion(stream, sensor, nominal_radius(log.manifest.machine, sensor), carrier)
+    return found
+
+
+def carriers(log: FieldLog) -> tuple[Carrier, ...]:
+    """Angular velocity of the tractor by each of its IMDs, in the manifest's order."""
+    found = []
+    for name, sensor in log.manifest.of_kind("imd").items():
+        stream = log.streams.get(name)
+        if (
+            isinstance(sensor, Imd)
+            and sensor.body == "tractor"
+            and isinstance(stream, ImuStream)
+            and stream.t.size > 1
+        ):
+            found.append(Carrier(stream.t, to_body(stream, sensor)[1]))
+    return tuple(found)
+
+
+def nominal_radius(machine: Machine, sensor: Wds) -> float:
+    """Rolling radius that the manifest states for a unit's wheel, m."""
+    tractor = machine.tractor
+    return tractor.front_wheel_radius if sensor.wheel.startswith("front") else tractor.rear_wheel_radius
+
+
+def steer_from_wheels(
+    wheels: Mapping[str, WheelMotion],
+    body_t: Floats,
+    body_yaw_rate: Floats,
+    grid_t: Floats,
+    tractor: Tractor | None = None,
+) -> WheelSteer | None:
+    """Steering angle from the front wheels' yaw rates less the body's; None without a front wheel's unit.
+
+    body_t (M,) s, UTC; body_yaw_rate (M,) rad/s: the body's own gyro (its bias is found here, at rest and
+    against the rear wheels' units); grid_t (N,) s, UTC, increasing; tractor : its track and wheelbase turn
+    a single wheel's angle into the mean of both
+
+    Never touched by the body's position, by its estimated yaw, or by the kinematics of steering.
+    """
+    chosen = [TurnedWheel(w.wheel, w.t, w.turned, w.turned_variance, w.rest) for w in wheels.values()]
+    return steering_angle(chosen, body_t, body_yaw_rate, grid_t, tractor)
+
+
+def steer_from_sensor(stream: SteerStream, sensor: Steer, grid_t: Floats) -> SteerInput:
+    """The steering sensor's angle on a grid, with the manifest's doubt of its zero and scale."""
+    angle, sd, correlation_time = sensor_angle(stream.t, stream.angle, np.radians(sensor.noise_deg), grid_t)
+    return SteerInput(
+        angle, sd, correlation_time, float(np.radians(sensor.zero_sd_deg)), sensor.scale_sd, "sensor"
+    )
+
+
+def choose_steer_input(
+    log: FieldLog, grid_t: Floats, wheels: Mapping[str, WheelMotion] | None = None
+) -> SteerInput | None:
+    """The series that may drive the replay: the steering sensor where it covers the pass, else the front
+    wheels.
+
+    None when the log has neither.
+    """
+    for name, sensor in log.manifest.of_kind("steer").items():
+        stream = log.streams.get(name)
+        if isinstance(stream, SteerStream) and _covers(stream.t, grid_t):
+            return steer_from_sensor(stream, sensor, grid_t)
+    wheels = wheel_motions(log) if wheels is None else wheels
+    body = carriers(log)
+    if not body:
+        return None
+    yaw_rate = np.mean([c.at(body[0].t)[:, 2] for c in body], axis=0)
+    steer = steer_from_wheels(wheels, body[0].t, yaw_rate, grid_t, log.manifest.machine.tractor)
+    return None if steer is None else steer.as_input()
+
+
+def _covers(t: Floats, grid_t: Floats) -> bool:
+    """Whether `COVERAGE` of the grid lies within half a second of a sample."""
+    if t.size < 2:
+        return False
+    after = np.clip(np.searchsorted(t, grid_t), 1, t.size - 1)
+    near = np.minimum(np.abs(t[after] - grid_t), np.abs(t[after - 1] - grid_t))
+    return bool(np.mean(near < 0.5) >= COVERAGE)
+
+
+def _doubt(sensor: Wds) -> Doubt:
+    """The manifest's bias figures where it has them."""
+    usual = Doubt()
+    return Doubt(
+        gyro_bias=usual.gyro_bias if sensor.gyro_bias is None else sensor.gyro_bias,
+        accel_bias=usual.accel_bias if sensor.accel_bias is None else sensor.accel_bias,
+    )
+
+
+def _named(names: tuple[str, ...], value: Floats, sd: Floats) -> dict[str, tuple[float, float]]:
+    return {name: (float(v), float(s)) for name, v, s in zip(names, value, sd, strict=False)}
+
+
+def _unused(name: str, good: Bools) -> tuple[Warn, ...]:
+    count = int(np.count_nonzero(~good))
+    if count == 0:
+        return ()
+    what = f"{count} gyro samples are clipped or spikes"
+    return (Warn(what, "left out of the wheel's motion and bridged", sensor=name),)
