@@ -1,4 +1,5 @@
-"""Planar motion of a twin by the two-mass model: driver, speed control and the soil's disturbance at both bodies."""
+"""Planar motion of a twin by the two-mass model: driver, speed control and the soil's disturbance at
+both bodies."""
 
 from __future__ import annotations
 
@@ -70,8 +71,8 @@ def _start(plan: TwinPlan, machine: Machine, path: Path) -> Floats:
 
 
 def disturbance(plan: TwinPlan, machine: Machine, rng: np.random.Generator) -> Floats:
-    """Side force and yaw moment at both bodies every SPACING m, (n, 6): coloured over distance, and the constant
-    load of a crabbing machine."""
+    """Side force and yaw moment at both bodies every SPACING m, (n, 6): coloured over distance, and the
+    constant load of a crabbing machine."""
     soil, lanes = plan.soil, plan.path.rows
     distance = lanes * plan.path.row_length + (lanes - 1) * math.pi * plan.path.turn_radius + 50.0
     n = math.ceil(distance / SPACING) + 1

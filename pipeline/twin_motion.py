@@ -105,7 +105,8 @@ def _slips(plan: TwinPlan, machine: Mapping[str, Any], n: int, rng: np.random.Ge
 
 
 def hand(driver: DriverPlan, speed: Floats, rng: np.random.Generator) -> Floats:
-    """What the driver adds to the steering that the path asks for, rad: his hand, and the weave; none at rest."""
+    """What the driver adds to the steering that the path asks for, rad: his hand, and the weave; none at
+    rest."""
     t = np.arange(speed.size) * STEP
     weave = math.radians(driver.weave_deg) * np.sin(2.0 * math.pi * t / driver.weave_period)
     noise = math.radians(driver.noise_deg) * smooth_wander(speed.size, STEP, driver.noise_time, rng)

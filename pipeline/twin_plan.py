@@ -83,7 +83,7 @@ class DriverPlan:
     preview: float = 2.2
     delay: float = 0.35
     lag: float = 0.15
-    noise_deg: float = 0.35
+    noise_deg: float = 0.6
     noise_time: float = 0.8
     weave_deg: float = 0.0
     weave_period: float = 5.0
@@ -263,7 +263,7 @@ def plan_from(table: Mapping[str, Any], where: str = "plan") -> TwinPlan:
     rest = dict(table)
     try:
         start = preset(str(rest.pop("preset", "benign")))
-        return _changed(start, rest, ())
+        return changed(start, rest)
     except PlanError as error:
         raise PlanError(f"{where}: {error}") from None
 
@@ -273,7 +273,13 @@ def with_value(plan: TwinPlan, key: str, value: Any) -> TwinPlan:
     nested: Any = value
     for part in reversed(key.split(".")):
         nested = {part: nested}
-    return _changed(plan, nested, ())
+    return changed(plan, nested)
+
+
+def changed(plan: TwinPlan, table: Mapping[str, Any]) -> TwinPlan:
+    """The plan with what a nested table names. Raises PlanError for an unknown key or a wrong type."""
+    new: TwinPlan = _changed(plan, table, ())
+    return new
 
 
 def _toml(path: Path) -> dict[str, Any]:

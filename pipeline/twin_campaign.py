@@ -1,0 +1,137 @@
+"""Synthetic passes on disk: one pass, or a whole campaign of fields, directions, repeats and variants in
+one command."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from .twin import make_pass, write_raw
+from .twin_plan import PlanError, TwinPlan, changed, preset, read_plan, with_value
+
+COMPASS = {"east": 0.0, "north": 90.0, "west": 180.0, "south": 270.0}
+AXES = ("fields", "directions", "variants")
+SPACING = 600.0  # s between the starts of a campaign's passes
+TRUTH = "truth"  # folder beside the passes
+
+
+@dataclass(frozen=True)
+class CampaignPlan:
+    """Fields × directions × variants × repeats of one base plan. Each axis is label → changes of the plan."""
+
+    base: TwinPlan
+    fields: Mapping[str, Mapping[str, Any]]
+    directions: Mapping[str, Mapping[str, Any]]
+    variants: Mapping[str, Mapping[str, Any]]
+    repeats: int = 1
+    seed: int = 0
+
+    def passes(self) -> Iterator[tuple[TwinPlan, int]]:
+        """(plan, seed) of every pass; ids are field-variant-direction-repeat, seeds follow each other."""
+        count = 0
+        for field, field_changes in self.fields.items():
+            for variant, variant_changes in self.variants.items():
+                for direction, turn in self.directions.items():
+                    for repeat in range(1, self.repeats + 1):
+                        plan = self.base
+                        for changes in (field_changes, variant_changes, turn):
+                            plan = changed(plan, changes)
+                        yield _labelled(plan, field, variant, direction, repeat, count), self.seed + count
+                        count += 1
+
+
+def _labelled(plan: TwinPlan, field: str, variant: str, direction: str, repeat: int, count: int) -> TwinPlan:
+    run = replace(
+        plan.run,
+        id=f"{field}-{variant}-{direction}-{repeat}",
+        field=field, variant=variant, direction=direction, repeat=repeat,
+        start=plan.run.start + SPACING * count,
+    )  # fmt: skip
+    return replace(plan, run=run)
+
+
+def read_campaign(path: Path) -> CampaignPlan:
+    """The campaign plan of a TOML file.
+
+    Keys: preset or plan (a file beside it), seed, repeats, base (changes for all), and fields,
+    directions, variants: a list of labels, or a table of label → changes. A direction named by the
+    compass turns the base's heading. Raises PlanError: what, where, how to mend.
+    """
+    try:
+        table = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise PlanError(f"{path}: cannot be read: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise PlanError(f"{path}: not valid TOML: {error}") from None
+    try:
+        return campaign_from(table, path.parent)
+    except PlanError as error:
+        raise PlanError(f"{path}: {error}") from None
+
+
+def campaign_from(table: Mapping[str, Any], folder: Path = Path()) -> CampaignPlan:
+    """A campaign plan from its TOML form (see `read_campaign`)."""
+    known = {"preset", "plan", "seed", "repeats", "base", *AXES}
+    for key in table:
+        if key not in known:
+            raise PlanError(f"{key}: unknown key; a campaign has {', '.join(sorted(known))}")
+    start = (
+        read_plan(folder / table["plan"]) if "plan" in table else preset(str(table.get("preset", "benign")))
+    )
+    base = changed(start, table.get("base", {}))
+    axes = {axis: _axis(table.get(axis), axis) for axis in AXES}
+    axes["directions"] = {label: _turned(base, label, c) for label, c in axes["directions"].items()}
+    repeats, seed = table.get("repeats", 1), table.get("seed", 0)
+    if not (isinstance(repeats, int) and repeats >= 1 and isinstance(seed, int) and seed >= 0):
+        raise PlanError("repeats must be a whole number from 1, seed one from 0")
+    return CampaignPlan(base, **axes, repeats=repeats, seed=seed)
+
+
+def _axis(given: Any, axis: str) -> dict[str, Mapping[str, Any]]:
+    if given is None:
+        return {"fields": {"field1": {}}, "directions": {"east": {}}, "variants": {"b": {}}}[axis]
+    if isinstance(given, list) and given and all(isinstance(label, str) for label in given):
+        return {label: {} for label in given}
+    if isinstance(given, Mapping) and given and all(isinstance(c, Mapping) for c in given.values()):
+        return dict(given)
+    raise PlanError(f"{axis}: must be a list of labels, or a table of label = {{ changes }}")
+
+
+def _turned(base: TwinPlan, label: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
+    if "heading_deg" in changes.get("place", {}) or label not in COMPASS:
+        return changes
+    place = {**changes.get("place", {}), "heading_deg": base.place.heading_deg + COMPASS[label]}
+    return {**changes, "place": place}
+
+
+def synth(
+    out: Path,
+    *,
+    named: str | None = None,
+    plan: Path | None = None,
+    campaign: Path | None = None,
+    seed: int = 0,
+    run_id: str | None = None,
+) -> tuple[Path, ...]:
+    """Write a synthetic pass, or a campaign's passes, under `out`; gives the passes' folders.
+
+    One of `named` (a preset; default "benign"), `plan` (a TOML file) and `campaign` (a TOML file, whose
+    own seed counts); passes land in out/<run id>, truth in out/truth/<run id>. Raises PlanError.
+    """
+    if sum(given is not None for given in (named, plan, campaign)) > 1:
+        raise PlanError("give one of a preset, a plan and a campaign")
+    if campaign is not None:
+        return tuple(_write(out, one, number) for one, number in read_campaign(campaign).passes())
+    chosen = read_plan(plan) if plan is not None else preset(named or "benign")
+    if run_id is not None:
+        chosen = with_value(with_value(chosen, "run.id", run_id), "run.field", run_id)
+    return (_write(out, chosen, seed),)
+
+
+def _write(out: Path, plan: TwinPlan, seed: int) -> Path:
+    folder = out / plan.run.id
+    write_raw(make_pass(plan, seed), folder, out / TRUTH / plan.run.id)
+    return folder
