@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import os
-import tempfile
+import shlex
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from .batch_executors import SerialExecutor, WorkerSlots, dask_executor
-from .batch_find import FindError, filesystem, find, is_url, join
+from .batch_find import find
 from .batch_limits import Limits
 from .batch_loop import BatchRun, Watch, run_all
 from .batch_plan import Plan, Terms, plan
 from .batch_store import Store, open_store, work_folder
-from .batch_task import Outcome
 from .run import RunSettings
 
 FAILURES = "failures.json"
@@ -93,3 +89,14 @@ def _finish(store: Store, ran: BatchRun, runs: Sequence[str], request: Request) 
     if not request.summarise:
         return summary
     return summary
+
+
+def commands(request: Request) -> list[str]:
+    """One shell command a pass, each alone, for a job array, and last the one that makes the campaign.
+
+    The passes' commands may run in any order and at the same time, on any machine that sees the paths.
+    """
+    found = find(request.paths, request.out)
+    tail = ["-o", request.out, *(("--campaign", request.campaign) if request.campaign else ())]
+    alone = [["-j", "0", "--no-campaign", *tail, source.path] for source in found.sources]
+    return [shlex.join(["smts-validate", "batch", *words]) for words in (*alone, [*tail, *request.paths])]

@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
@@ -97,6 +98,84 @@ def run(log: Path, out: Path | None, manifest: Path | None, require_adequate: bo
     summary = run_to_folder(log, out, manifest, say=progress)
     emit(summary, as_json, console.ran)
     _leave_unless_adequate(require_adequate, summary["verdict"]["value"])
+
+
+@app.command()
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...")
+@click.option("-o", "out", default="results", show_default=True, help="Folder or URL for the results.")
+@click.option("-j", "workers", type=click.IntRange(0), help="Processes [one a core]; 0: in this process.")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler (tcp://HOST:8786) in place of -j.")
+@click.option("--no-resume", is_flag=True, help="Compute every pass again.")
+@click.option("--campaign", metavar="FILE", help="campaign.toml, when none lies in a given path.")
+@click.option("--time-limit", type=click.FloatRange(0, min_open=True), help="Seconds that one pass may take.")
+@click.option("--memory-limit", metavar="SIZE", help="Memory of one pass's process, like 2G.")
+@click.option("--no-campaign", is_flag=True, help="Passes only (a task of a job array).")
+@click.option("--print-commands", is_flag=True, help="One command a pass, for a job array; runs nothing.")
+@click.option("--require-adequate", is_flag=True, help="Exit with 3 when the verdict is not `adequate`.")
+@common
+def batch(paths: tuple[str, ...], as_json: bool, print_commands: bool, **options: Any) -> None:
+    """Run every pass under the PATHs (raw folders, logs, URLs), then the campaign."""
+    from . import batch_view, console
+    from .batch import commands, run_batch
+
+    required = options.pop("require_adequate")
+    request = _request(paths, **options)
+    if print_commands:
+        emit({"commands": commands(request)}, as_json, lambda document: "\n".join(document["commands"]))
+        return
+    with _watching(as_json, batch_view) as watch:
+        summary = run_batch(request, watch)
+    emit({"event": "end", **summary} if as_json else summary, as_json, console.batched)
+    if summary["failed"]:
+        sys.exit(FAILED)
+    _leave_unless_adequate(required, (summary["verdict"] or {}).get("value", ""))
+
+
+def _request(paths: tuple[str, ...], **options: Any) -> Any:
+    from .batch import Request
+    from .batch_limits import Limits, parse_bytes
+
+    try:
+        memory = parse_bytes(options["memory_limit"]) if options["memory_limit"] else None
+    except ValueError as error:
+        raise click.BadParameter(str(error), param_hint="--memory-limit") from None
+    workers = options["workers"]
+    return Request(
+        paths=paths,
+        out=options["out"],
+        workers=os.cpu_count() or 1 if workers is None else workers,
+        scheduler=options["scheduler"],
+        resume=not options["no_resume"],
+        campaign=options["campaign"],
+        limits=Limits(options["time_limit"], memory),
+        summarise=not options["no_campaign"],
+    )
+
+
+@contextmanager
+def _watching(as_json: bool, view: Any) -> Iterator[Callable[[Any], None]]:
+    """Show a batch's progress: JSON lines, a live table on a terminal, or plain lines on stderr."""
+    if as_json:
+        yield lambda progress: _echo_if(json.dumps(event) if (event := view.event(progress)) else "", False)
+    elif not sys.stderr.isatty():
+        yield lambda progress: _echo_if(view.line(progress), True)
+    else:
+        from rich.console import Console
+        from rich.live import Live
+
+        with Live(console=Console(stderr=True), refresh_per_second=4, transient=True) as live:
+
+            def show(progress: Any) -> None:
+                if progress.note or (progress.last and progress.last.status == "failed"):
+                    live.console.print(view.line(progress), markup=False, highlight=False)
+                live.update(view.live_table(progress))
+
+            yield show
+
+
+def _echo_if(text: str, err: bool) -> None:
+    if text:
+        click.echo(text, err=err)
 
 
 def _leave_unless_adequate(required: bool, verdict: str) -> None:

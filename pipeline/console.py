@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -45,12 +46,22 @@ def inspected(document: Document) -> str:
 
 
 def health_table(health: Document) -> str:
-    """A line a sensor; the columns are the scalar figures that any of them has."""
-    names = [name for name, entry in health.items() if isinstance(entry, dict)]
-    columns: list[str] = []
-    for name in names:
-        columns += [key for key, value in health[name].items() if key not in columns and _scalar(value)]
-    return table(["sensor", *columns], [[name, *(health[name].get(c) for c in columns)] for name in names])
+    """A line a sensor, sensors with the same figures under one header; nested figures are left to --json."""
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for name, entry in health.items():
+        if isinstance(entry, dict):
+            groups.setdefault(tuple(key for key, value in entry.items() if _scalar(value)), []).append(name)
+    tables = []
+    for keys, names in groups.items():
+        rows = [[name, *(_figure(key, health[name][key]) for key in keys)] for name in names]
+        tables.append(table(["sensor", *(key.replace("_", " ") for key in keys)], rows))
+    return "\n\n".join(tables)
+
+
+def _figure(key: str, value: Any) -> Any:
+    if key == "start" and isinstance(value, float):
+        return dt.datetime.fromtimestamp(value, dt.UTC).strftime("%Y-%m-%d %H:%M:%S")
+    return value
 
 
 def _scalar(value: Any) -> bool:
@@ -85,3 +96,16 @@ def discrepancy(name: str, entry: Document) -> str:
 
 def _percent(value: float | None) -> str:
     return "none" if value is None else f"{value:.1f} %"
+
+
+def batched(document: Document) -> str:
+    """Counts, failures with their reasons, the campaign's verdict, and the report to open."""
+    counts = ", ".join(f"{document[key]} {key}" for key in ("done", "unchanged", "failed"))
+    lines = [f"{document['passes']} passes in {document['out']}: {counts}"]
+    lines += [f"  {failure['run']}: {failure['reason']}" for failure in document["failures"]]
+    if document["verdict"]:
+        lines.append(f"verdict (campaign): {document['verdict']['value']}")
+        lines += [f"  because {reason}" for reason in document["verdict"]["reasons"]]
+    if document["report"]:
+        lines.append(f"report: {document['report']}")
+    return "\n".join(lines)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import batch_samples
 import pytest
-from smts_validate.pipeline.batch_loop import InterruptedBatch, Progress, run_all
 from smts_validate.pipeline.batch_executors import SerialExecutor, WorkerSlots
+from smts_validate.pipeline.batch_loop import InterruptedBatch, Progress, run_all
 
 
 def test_each_pass_is_counted_once_and_failures_are_listed_by_run() -> None:
