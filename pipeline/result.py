@@ -22,8 +22,8 @@ from ..sensors import manifest as manifests
 from ..sensors.manifest import Manifest
 from . import result_tables as tables
 from .fusion.motion import Motion
-from .result_tables import RowLike
 from .report_view import PassView, PlotSeries
+from .result_tables import RowLike
 
 Floats = NDArray[np.float64]
 

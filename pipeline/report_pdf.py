@@ -1,0 +1,269 @@
+"""report.pdf: the same content as the page, set on A4, with page numbers; figures are placed as vectors."""
+
+from __future__ import annotations
+
+import datetime as dt
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from fpdf import FPDF
+from fpdf.enums import XPos, YPos
+from fpdf.fonts import FontFace
+from pypdf import PdfReader, PdfWriter, Transformation
+
+from . import figures_style as style
+from .report_blocks import Block, Chart, Equation, Missing, Section, Table, Text
+from .report_head import Head
+
+MARGIN = 18.0  # mm
+PAGE_WIDTH, PAGE_HEIGHT = 210.0, 297.0
+TEXT_WIDTH = PAGE_WIDTH - 2.0 * MARGIN
+FOOT = 16.0  # mm at the bottom
+POINT = 25.4 / 72.0  # mm
+INK, MUTED, RULE, CARD = (29, 35, 41), (89, 99, 110), (200, 206, 213), (244, 245, 247)
+VERDICT_COLOURS = {"adequate": (11, 107, 58), "not adequate": (163, 32, 13), "inconclusive": (122, 77, 0)}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A drawn figure that waits to be placed: its page in the figures' PDF, its size in mm."""
+
+    number: int
+    width: float
+    height: float
+
+
+@dataclass(frozen=True)
+class _Placed:
+    picture: Picture
+    page: int
+    x: float
+    y: float
+
+
+class _Sheet(FPDF):  # type: ignore[misc]
+    """A4 with a running foot."""
+
+    def __init__(self, short: str) -> None:
+        super().__init__("P", "mm", "A4")
+        self.short = short
+        self.placed: list[_Placed] = []
+
+    def footer(self) -> None:
+        """Name of the run and page number of how many, under a rule."""
+        self.set_y(-FOOT + 3.0)
+        self.set_draw_color(*RULE)
+        self.line(MARGIN, self.get_y(), PAGE_WIDTH - MARGIN, self.get_y())
+        self.set_font("Sans", size=7.5)
+        self.set_text_color(*MUTED)
+        self.set_y(-FOOT + 4.5)
+        self.cell(TEXT_WIDTH - 30.0, 5.0, self.short)
+        self.cell(30.0, 5.0, f"{self.page_no()} / {{nb}}", align="R")
+
+
+def render(
+    head: Head, sections: Sequence[Section], pictures: dict[str, Picture], figures: bytes, date: dt.date
+) -> bytes:
+    """The PDF as bytes.
+
+    pictures : drawn figures by the key of their chart, or by the words of their equation
+    figures : the PDF whose pages they are
+    date : stands as the creation date, so that the same result gives the same bytes
+    """
+    sheet = _sheet(head, date)
+    _first_page(sheet, head)
+    for section in sections:
+        _section(sheet, section, pictures)
+    return _with_figures(bytes(sheet.output()), sheet.placed, figures)
+
+
+def _sheet(head: Head, date: dt.date) -> _Sheet:
+    sheet = _Sheet(head.short)
+    fonts = _font_folder()
+    for emphasis, file in (
+        ("", "DejaVuSans.ttf"),
+        ("B", "DejaVuSans-Bold.ttf"),
+        ("I", "DejaVuSans-Oblique.ttf"),
+    ):
+        sheet.add_font("Sans", emphasis, fonts / file)
+    sheet.set_creation_date(dt.datetime.combine(date, dt.time(), dt.UTC))
+    sheet.set_title(head.title)
+    sheet.set_lang("en")
+    sheet.set_margins(MARGIN, MARGIN, MARGIN)
+    sheet.set_auto_page_break(True, FOOT + 4.0)
+    sheet.add_page()
+    return sheet
+
+
+def _font_folder() -> Path:
+    """DejaVu's fonts, which lie in matplotlib's data; found without importing it."""
+    spec = find_spec("matplotlib")
+    if spec is None or spec.origin is None:
+        raise RuntimeError("matplotlib is not installed; run `pip install matplotlib`")
+    return Path(spec.origin).parent / "mpl-data" / "fonts" / "ttf"
+
+
+def _write(
+    sheet: _Sheet, text: str, size: float = 9.0, emphasis: str = "", colour: tuple[int, ...] = INK
+) -> None:
+    sheet.set_font("Sans", emphasis, size)
+    sheet.set_text_color(*colour)
+    sheet.multi_cell(TEXT_WIDTH, 0.5 * size, text, new_x=XPos.LMARGIN, new_y=YPos.NEXT, align="L")
+
+
+def _first_page(sheet: _Sheet, head: Head) -> None:
+    _write(sheet, head.title, 16.0, "B")
+    sheet.ln(1.0)
+    _write(sheet, head.tested, 8.5, colour=MUTED)
+    sheet.ln(3.0)
+    colour = VERDICT_COLOURS.get(head.verdict, INK)
+    top = sheet.get_y()
+    sheet.set_left_margin(MARGIN + 4.0)
+    _write(sheet, head.verdict_label, 9.0)
+    _write(sheet, f"{head.sign} {head.verdict}", 17.0, "B", colour)
+    sheet.ln(1.0)
+    _write(sheet, head.meaning, 9.0)
+    for reason in head.reasons:
+        _write(sheet, f"•  {reason}", 9.0)
+    sheet.set_left_margin(MARGIN)
+    sheet.set_fill_color(*colour)
+    sheet.rect(MARGIN, top, 1.4, sheet.get_y() - top, style="F")
+    sheet.ln(4.0)
+    _numbers(sheet, head)
+    _write(sheet, head.scope, 8.5, colour=MUTED)
+
+
+def _numbers(sheet: _Sheet, head: Head) -> None:
+    """The headline numbers side by side."""
+    top, bottom = sheet.get_y(), sheet.get_y()
+    width = TEXT_WIDTH / max(len(head.numbers), 1)
+    for index, number in enumerate(head.numbers):
+        left = MARGIN + index * width
+        sheet.set_xy(left, top)
+        for text, size, emphasis, colour in (
+            (number.name, 9.0, "B", INK),
+            (number.value, 19.0, "B", INK),
+            (number.interval, 8.5, "", MUTED),
+        ):
+            sheet.set_font("Sans", emphasis, size)
+            sheet.set_text_color(*colour)
+            sheet.set_x(left)
+            sheet.multi_cell(width - 4.0, 0.5 * size, text, new_x=XPos.LEFT, new_y=YPos.NEXT, align="L")
+        for name, value in number.details:
+            sheet.set_x(left)
+            sheet.set_font("Sans", "", 8.5)
+            sheet.set_text_color(*MUTED)
+            sheet.cell(width * 0.62, 4.6, name)
+            sheet.set_text_color(*INK)
+            sheet.cell(width * 0.30, 4.6, value, align="R", new_x=XPos.LEFT, new_y=YPos.NEXT)
+        bottom = max(bottom, sheet.get_y())
+    sheet.set_xy(MARGIN, bottom + 4.0)
+
+
+def _section(sheet: _Sheet, section: Section, pictures: dict[str, Picture]) -> None:
+    first = section.blocks[0] if section.blocks else None
+    _room(sheet, 24.0 + (_figure_height(first, pictures) if isinstance(first, Chart) else 0.0))
+    sheet.ln(5.0)
+    sheet.start_section(section.title)
+    _write(sheet, section.title, 12.5, "B")
+    sheet.ln(1.5)
+    for block in section.blocks:
+        _block(sheet, block, pictures)
+
+
+def _figure_height(chart: Chart, pictures: dict[str, Picture]) -> float:
+    return pictures[chart.key].height + 16.0
+
+
+def _room(sheet: _Sheet, needed: float) -> None:
+    """Start a new page when `needed` mm are not left on this one."""
+    if sheet.get_y() + needed > PAGE_HEIGHT - FOOT - 4.0:
+        sheet.add_page()
+
+
+def _block(sheet: _Sheet, block: Block, pictures: dict[str, Picture]) -> None:
+    if isinstance(block, Text):
+        _write(sheet, block.text)
+        sheet.ln(1.5)
+    elif isinstance(block, Missing):
+        _write(sheet, block.text, 9.0, "I", MUTED)
+        sheet.ln(1.5)
+    elif isinstance(block, Table):
+        _table(sheet, block)
+    elif isinstance(block, Equation):
+        _place(sheet, pictures[block.words])
+    else:
+        _chart(sheet, block, pictures)
+
+
+def _chart(sheet: _Sheet, chart: Chart, pictures: dict[str, Picture]) -> None:
+    _room(sheet, _figure_height(chart, pictures))
+    _write(sheet, chart.title, 9.5, "B")
+    sheet.ln(0.5)
+    _place(sheet, pictures[chart.key])
+    _write(sheet, chart.caption + style.thin(chart, style.STILL_POINTS).note, 8.0, colour=MUTED)
+    sheet.ln(4.0)
+
+
+def _place(sheet: _Sheet, picture: Picture) -> None:
+    _room(sheet, picture.height)
+    sheet.placed.append(_Placed(picture, sheet.page_no(), MARGIN, sheet.get_y()))
+    sheet.set_y(sheet.get_y() + picture.height + 1.0)
+
+
+def _table(sheet: _Sheet, table: Table) -> None:
+    _room(sheet, 24.0)
+    _write(sheet, table.caption, 9.0, "B")
+    sheet.ln(0.8)
+    sheet.set_font("Sans", size=7.5)
+    sheet.set_text_color(*INK)
+    sheet.set_fill_color(255)
+    sheet.set_draw_color(*RULE)
+    align = ["LEFT", *(("RIGHT" if table.numeric else "LEFT") for _ in table.columns[1:])]
+    with sheet.table(
+        borders_layout="HORIZONTAL_LINES",
+        text_align=align,
+        col_widths=_widths(sheet, table),
+        line_height=4.2,
+        first_row_as_headings=True,
+        headings_style=FontFace(emphasis="BOLD"),
+        width=TEXT_WIDTH,
+        padding=(0.5, 1.0),
+    ) as grid:
+        for row in (table.columns, *table.rows):
+            cells = grid.row()
+            for cell in row:
+                cells.cell(cell)
+    sheet.ln(4.0)
+
+
+def _widths(sheet: _Sheet, table: Table) -> list[float]:
+    """Relative column widths from the longest text in each, none starved."""
+    sheet.set_font("Sans", size=7.5)
+    longest = [
+        max(_text_width(sheet, row[column]) for row in (table.columns, *table.rows) if column < len(row))
+        for column in range(len(table.columns))
+    ]
+    return [min(max(width + 4.0, 12.0), 0.6 * TEXT_WIDTH) for width in longest]
+
+
+def _text_width(sheet: _Sheet, text: str) -> float:
+    return max((float(sheet.get_string_width(line)) for line in text.splitlines()), default=0.0)
+
+
+def _with_figures(document: bytes, placed: Sequence[_Placed], figures: bytes) -> bytes:
+    """The document with each figure's page merged in at its place."""
+    writer = PdfWriter(clone_from=io.BytesIO(document))
+    sources = PdfReader(io.BytesIO(figures)).pages if placed else []
+    for item in placed:
+        left = item.x / POINT
+        bottom = (PAGE_HEIGHT - item.y - item.picture.height) / POINT
+        scale = item.picture.width / POINT / float(sources[item.picture.number].mediabox.width)
+        move = Transformation().scale(scale).translate(left, bottom)
+        writer.pages[item.page - 1].merge_transformed_page(sources[item.picture.number], move)
+    buffer = io.BytesIO()
+    writer.write(buffer)
+    return buffer.getvalue()
