@@ -183,6 +183,26 @@ def _leave_unless_adequate(required: bool, verdict: str) -> None:
         sys.exit(NOT_ADEQUATE)
 
 
+@app.command()
+@click.argument("out", type=click.Path(path_type=Path))
+@click.option("--preset", metavar="NAME", help="A ready plan: benign, bad_sensors, outage, headland, ...")
+@click.option("--plan", type=click.Path(path_type=Path), help="The pass's plan, a TOML file.")
+@click.option("--campaign", type=click.Path(path_type=Path), help="A campaign's plan, a TOML file.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of a single pass.")
+@click.option("--id", "run_id", metavar="ID", help="run.id of a single pass.")
+@common
+def synth(
+    out: Path, preset: str | None, plan: Path | None, campaign: Path | None, seed: int, run_id: str | None,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Make synthetic raw passes with known truth in the folder OUT."""
+    from .twin_campaign import synth as make
+
+    folders = make(out, named=preset, plan=plan, campaign=campaign, seed=seed, run_id=run_id)
+    document = {"passes": [str(folder) for folder in folders]}
+    emit(document, as_json, lambda made: "\n".join(made["passes"]))
+
+
 def main() -> None:
     """Entry point of `smts-validate`: an error is one line on stderr and an exit status."""
     try:
