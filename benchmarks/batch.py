@@ -1,0 +1,109 @@
+"""Batch speed: passes a minute in one worker process, in two, and on Dask with two workers; with the efficiency.
+
+    python benchmarks/batch.py [--passes 24] [--seconds 60] [--workers 2]
+
+Synthetic raw passes are made first (their time is not counted), and one is run so that compiled code is cached.
+Efficiency = time with one worker / (workers × time with that many).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+COMMAND = [sys.executable, "-m", "smts_validate.pipeline.cli"]
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+CAMPAIGN = """
+seed = 1
+repeats = {repeats}
+directions = ["east", "west"]
+[base.path]
+duration = {seconds}
+row_length = {length}
+"""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """One batch: wall seconds of the whole command, CPU seconds of its passes, verdicts."""
+
+    wall: float
+    cpu: float
+    passes: int
+
+
+def make_passes(folder: Path, passes: int, seconds: float) -> None:
+    """Half of the passes eastward, half westward."""
+    plan = folder / "plan.toml"
+    length = max(70.0, 2.8 * seconds)
+    plan.write_text(CAMPAIGN.format(repeats=passes // 2, seconds=seconds, length=length), encoding="utf-8")
+    subprocess.run(
+        [*COMMAND, "synth", str(folder / "raw"), "--campaign", str(plan)],
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
+
+
+def run(raw: Path, out: Path, *options: str) -> Timing:
+    """One batch from the command line."""
+    begin = time.perf_counter()
+    command = [*COMMAND, "batch", str(raw), "-o", str(out), "--json", *options]
+    ran = subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, **ONE_THREAD}, check=False
+    )
+    wall = time.perf_counter() - begin
+    events = [json.loads(line) for line in ran.stdout.splitlines()]
+    done = [event for event in events if event["event"] == "done"]
+    if ran.returncode != 0 or not done:
+        sys.exit(f"the batch failed: {ran.stderr.strip()} {[e.get('reason') for e in events]}")
+    return Timing(wall, sum(event["cpu_seconds"] for event in done), len(done))
+
+
+def report(name: str, workers: int, timing: Timing, alone: Timing) -> None:
+    """One line of the table."""
+    efficiency = alone.wall / (workers * timing.wall)
+    print(
+        f"{name:<24}{timing.wall:8.1f} s{60.0 * timing.passes / timing.wall:9.1f} passes/min"
+        f"{timing.cpu / timing.passes:8.2f} CPU s/pass   efficiency {efficiency:.2f}"
+    )
+
+
+def main() -> None:
+    """Make the passes, run the batches, print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--passes", type=int, default=24)
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of a pass")
+    parser.add_argument("--workers", type=int, default=2)
+    asked = parser.parse_args()
+    from distributed import LocalCluster
+
+    with tempfile.TemporaryDirectory(prefix="smts-bench-") as name:
+        folder = Path(name)
+        make_passes(folder, asked.passes, asked.seconds)
+        raw = folder / "raw"
+        first = next(path for path in sorted(raw.iterdir()) if (path / "run.toml").is_file())
+        run(first, folder / "warm", "-j", "1")
+        print(f"{asked.passes} passes of {asked.seconds:g} s, whole command with campaign and reports")
+        alone = run(raw, folder / "one", "-j", "1")
+        report("1 process", 1, alone, alone)
+        several = run(raw, folder / "several", "-j", str(asked.workers))
+        report(f"{asked.workers} processes", asked.workers, several, alone)
+        os.environ.update(ONE_THREAD)
+        with LocalCluster(
+            n_workers=asked.workers, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster:
+            dask = run(raw, folder / "dask", "--scheduler", cluster.scheduler_address)
+        report(f"Dask, {asked.workers} workers", asked.workers, dask, alone)
+
+
+if __name__ == "__main__":
+    main()
