@@ -26,8 +26,10 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from .cdr import Bytes, Ints
-from .log_read import LogError, read_streams
+from .log_collect import LogError
+from .log_read import read_streams
 from .log_topics import Channel, Columns, channels_of, messages, to_ns
+from .manifest import ManifestError
 from .manifest import read as read_manifest
 from .streams import FieldLog
 
@@ -79,7 +81,10 @@ def read_log(path: Path, manifest: Path | None = None) -> FieldLog:
     Raises LogError, one line: what, where (file, topic), how to mend. Damage that leaves something to read is
     a warning of the FieldLog.
     """
-    given = None if manifest is None else read_manifest(manifest)
+    try:
+        given = None if manifest is None else read_manifest(manifest)
+    except ManifestError as error:
+        raise LogError(str(error)) from None
     return read_streams(path, given)
 
 

@@ -130,7 +130,7 @@ def _imu_channels(name: str, stream: ImuStream) -> list[Channel]:
     found = [_channel(f"/{name}/imu", "sensor_msgs/msg/Imu", stream, without_orientation, columns)]
     if stream.magnetic_field is not None:
         # a channel without messages still says that there is a magnetometer
-        there: NDArray[np.bool_] = np.isfinite(stream.magnetic_field).any(axis=1)
+        there = np.asarray(np.isfinite(stream.magnetic_field).any(axis=1))
         field_ = {"magnetic_field": stream.magnetic_field[there]}
         found.append(_channel(f"/{name}/mag", "sensor_msgs/msg/MagneticField", stream, {}, field_, there))
     return found
@@ -170,7 +170,7 @@ def _gnss_channels(name: str, stream: GnssStream) -> list[Channel]:
 def _fix(stream: GnssStream) -> dict[str, NDArray[Any]]:
     """Columns of NavSatFix: covariance in ENU, known where any standard deviation is."""
     sd = np.column_stack([stream.sd_east, stream.sd_north, stream.sd_up])
-    known: NDArray[np.bool_] = np.isfinite(sd).any(axis=1)
+    known = np.asarray(np.isfinite(sd).any(axis=1))
     covariance = np.zeros((stream.t.size, 9))
     covariance[:, [0, 4, 8]] = np.where(known[:, np.newaxis], sd**2, 0.0)
     status = np.full(stream.t.size, -1, np.int8)

@@ -1,32 +1,23 @@
 """Reading any MCAP file: with or without summary, index or chunks, whole or damaged.
 
 `open_recording` walks the file's records one after the other and believes nothing but what it walks over: the
-summary only confirms. `read_messages` then yields the messages chunk by chunk, as tables of offsets into
-the decompressed bytes. What is damaged is left out and said (`Fault`), never guessed.
+summary only confirms. Chunks stay closed (see mcap_messages). What is damaged is said (`Fault`).
 """
 
 from __future__ import annotations
 
-import datetime as dt
 import mmap
 import os
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import lz4.frame
 import numpy as np
-import zstandard
-from numpy.typing import NDArray
 
-from .cdr import Payloads
 from .mcap_records import (
     FRAME,
     MAGIC,
-    MESSAGE_DTYPE,
-    MESSAGE_HEAD,
     Attachment,
     Bytes,
     Channel,
@@ -34,7 +25,6 @@ from .mcap_records import (
     DataEnd,
     Footer,
     Header,
-    Ints,
     McapError,
     Metadata,
     Op,
@@ -46,12 +36,8 @@ from .mcap_records import (
     walk,
 )
 
-MAX_CHUNK = 256 * 2**20  # bytes, uncompressed; usual chunks are 1 to 4 MiB
-MAX_TOTAL = 64 * 2**30  # bytes, uncompressed, of all chunks
-MAX_RATIO = 2000  # and at most this many times the file's size: recordings shrink by 2 to 50
 MAX_ATTACHMENT = 64 * 2**20  # bytes
-BATCH = 32 * 2**20  # bytes of chunks that are decompressed at the same time
-WORKERS = min(4, os.cpu_count() or 1)
+PIECE = 4 * 2**20  # bytes of a file that are looked at in one go
 
 
 @dataclass(frozen=True)
@@ -60,17 +46,6 @@ class Fault:
 
     what: str
     effect: str
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Messages of one channel from one chunk, in file order."""
-
-    channel: Channel
-    schema: Schema | None
-    log_time: NDArray[np.uint64]
-    publish_time: NDArray[np.uint64]
-    payloads: Payloads
 
 
 @dataclass(frozen=True)
@@ -89,9 +64,13 @@ class Recording:
     statistics: Statistics | None
     faults: tuple[Fault, ...]
 
+    def pieces(self) -> Iterator[memoryview]:
+        """The file's bytes, in pieces."""
+        return _pieces(self.data, 0, self.data.size)
+
 
 @dataclass
-class _Registry:
+class Registry:
     """Schemas and channels as they turn up; the same id may come again, but not with another meaning."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -118,6 +97,28 @@ def open_recording(path: Path) -> Recording:
         raise McapError(f"{path}: {error}") from None
 
 
+def _pieces(data: Bytes, start: int, stop: int) -> Iterator[memoryview]:
+    """data[start:stop] in pieces; pages of a mapped file are let go behind each: none stay resident."""
+    for at in range(start, stop, PIECE):
+        yield data.data[at : min(at + PIECE, stop)]
+        let_go(data, at, PIECE)
+
+
+def let_go(data: Bytes, start: int, size: int) -> None:
+    """Tell the system that pages of a mapped file are not needed for now."""
+    mapped = data.base
+    if isinstance(mapped, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        first = start - start % mmap.PAGESIZE
+        mapped.madvise(mmap.MADV_DONTNEED, first, min(start + size, data.size) - first)
+
+
+def _crc(data: Bytes, start: int, stop: int) -> int:
+    crc = 0
+    for piece in _pieces(data, start, stop):
+        crc = zlib.crc32(piece, crc)
+    return crc
+
+
 def _map(path: Path) -> Bytes:
     try:
         with path.open("rb") as file:
@@ -132,13 +133,13 @@ def _map(path: Path) -> Bytes:
 def _scan(path: Path, data: Bytes) -> Recording:
     closed = data.size >= 2 * len(MAGIC) and data[-len(MAGIC) :].tobytes() == MAGIC
     table = walk(data, len(MAGIC), data.size - (len(MAGIC) if closed else 0))
-    registry = _Registry()
+    registry = Registry()
     chunks: list[Chunk] = []
     attachments: list[Attachment] = []
     metadata: list[Metadata] = []
     faults: list[Fault] = []
     header, statistics = Header("", ""), None
-    for record in _records(data, table, (Op.MESSAGE, Op.MESSAGE_INDEX, Op.CHUNK_INDEX)):
+    for record in records_of(data, table, (Op.MESSAGE, Op.MESSAGE_INDEX, Op.CHUNK_INDEX)):
         registry.add(record)
         match record:
             case Header():
@@ -161,7 +162,7 @@ def _scan(path: Path, data: Bytes) -> Recording:
     )  # fmt: skip
 
 
-def _records(data: Bytes, table: Table, leave: Sequence[Op]) -> Iterator[Record | Fault]:
+def records_of(data: Bytes, table: Table, leave: Sequence[Op]) -> Iterator[Record | Fault]:
     """Parse a table's records except those kinds; the same bytes (a repeated definition) only once."""
     wanted = np.flatnonzero(~np.isin(table.opcode, [int(op) for op in leave]))
     for i in wanted:
@@ -214,7 +215,7 @@ def _sum_faults(data: Bytes, table: Table) -> Iterator[Fault]:
         record = parse(data, Op.DATA_END, at, int(table.length[ends[0]]))
         if isinstance(record, DataEnd) and record.data_section_crc not in (
             0,
-            zlib.crc32(data[: at - FRAME].data),
+            _crc(data, 0, at - FRAME),
         ):
             yield Fault("the data section's CRC is wrong", "chunks are checked one by one by their own CRC")
     feet = table.of(Op.FOOTER)
@@ -228,163 +229,4 @@ def _sum_faults(data: Bytes, table: Table) -> Iterator[Fault]:
 def _wrong_summary(data: Bytes, footer: Footer, at: int) -> bool:
     """Whether the CRC over the summary and the footer (without the CRC itself) disagrees."""
     start = footer.summary_start or at - FRAME
-    return footer.summary_crc != 0 and zlib.crc32(data[start : at + 16].data) != footer.summary_crc
-
-
-# -- messages --------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Block:
-    """Decompressed records, or the fault that hides them."""
-
-    data: Bytes
-    table: Table
-    faults: tuple[Fault, ...] = ()
-
-
-def read_messages(recording: Recording, wanted: Callable[[Channel], bool]) -> Iterator[Batch | Fault]:
-    """Messages of the wanted channels in file order, a batch for each chunk and channel, and what is lost.
-
-    Raises McapError for an unknown compression, for sizes that no recording has (a decompression bomb), or
-    for a message without its channel.
-    """
-    _refuse_bombs(recording)
-    registry = _Registry(dict(recording.schemas), dict(recording.channels))
-    if recording.loose.opcode.size:
-        yield from _batches(_Block(recording.data, recording.loose), registry, wanted)
-    with ThreadPoolExecutor(WORKERS) as pool:
-        for group in _grouped(recording.chunks):
-            for block in pool.map(lambda chunk: _open_chunk(recording.data, chunk), group):
-                yield from block.faults
-                yield from _batches(block, registry, wanted)
-
-
-def _refuse_bombs(recording: Recording) -> None:
-    total = sum(chunk.uncompressed_size for chunk in recording.chunks)
-    if total > min(MAX_TOTAL, MAX_RATIO * recording.data.size):
-        raise McapError(
-            f"its chunks claim {total} bytes uncompressed, the file has {recording.data.size}; refused"
-        )
-
-
-def _grouped(chunks: Sequence[Chunk]) -> Iterator[list[Chunk]]:
-    group: list[Chunk] = []
-    size = 0
-    for chunk in chunks:
-        if group and size + chunk.uncompressed_size > BATCH:
-            yield group
-            group, size = [], 0
-        group.append(chunk)
-        size += chunk.uncompressed_size
-    if group:
-        yield group
-
-
-def _open_chunk(data: Bytes, chunk: Chunk) -> _Block:
-    if chunk.uncompressed_size > MAX_CHUNK:
-        raise McapError(f"a chunk claims {chunk.uncompressed_size} bytes, more than {MAX_CHUNK}; refused")
-    raw = _decompress(data.data[chunk.start : chunk.start + chunk.size], chunk)
-    span = _span(chunk)
-    content = np.frombuffer(raw, np.uint8)
-    if content.size == chunk.uncompressed_size and chunk.uncompressed_crc not in (0, zlib.crc32(raw)):
-        fault = Fault(f"the chunk of {span} has a wrong CRC", f"its messages ({span}) are lost")
-        return _Block(content[:0], walk(content, 0, 0), (fault,))
-    table = walk(content, 0, content.size)
-    if content.size == chunk.uncompressed_size and table.complete:
-        return _Block(content, table)
-    fault = Fault(
-        f"the chunk of {span} is cut: {content.size} of {chunk.uncompressed_size} bytes could be read",
-        f"its {table.of(Op.MESSAGE).size} whole messages were salvaged, the rest is lost",
-    )
-    return _Block(content, table, (fault,))
-
-
-def _span(chunk: Chunk) -> str:
-    return f"{_utc(chunk.message_start_time)} to {_utc(chunk.message_end_time)}"
-
-
-def _utc(t_ns: int) -> str:
-    moment = dt.datetime(1970, 1, 1, tzinfo=dt.UTC) + dt.timedelta(microseconds=t_ns // 1000)
-    return moment.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z"
-
-
-def _decompress(packed: memoryview, chunk: Chunk) -> bytes | memoryview:
-    """As much of the chunk's content as can be had, never more than it claims."""
-    size = chunk.uncompressed_size
-    match chunk.compression:
-        case "":
-            return packed[:size]
-        case "zstd":
-            return _zstd(packed, size)
-        case "lz4":
-            return _lz4(packed, size)
-    raise McapError(f"a chunk is compressed with {chunk.compression!r}; zstd, lz4 and none are known")
-
-
-def _zstd(packed: memoryview, size: int) -> bytes:
-    try:
-        if 0 <= zstandard.frame_content_size(packed) <= size:
-            return zstandard.ZstdDecompressor().decompress(packed)[:size]
-    except zstandard.ZstdError:
-        pass  # cut or damaged: below, as far as it goes
-    return _as_far_as_it_goes(zstandard.ZstdDecompressor().decompressobj(), packed, size, zstandard.ZstdError)
-
-
-def _lz4(packed: memoryview, size: int) -> bytes:
-    try:
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size))
-    except RuntimeError:
-        return _as_far_as_it_goes(lz4.frame.LZ4FrameDecompressor(), packed, size, RuntimeError)
-
-
-def _as_far_as_it_goes(engine: object, packed: memoryview, size: int, error: type[Exception]) -> bytes:
-    """Decompress in small steps until the input ends, breaks, or has given the size that was claimed."""
-    out = bytearray()
-    step = 256
-    for at in range(0, len(packed), step):
-        try:
-            out += engine.decompress(packed[at : at + step])  # type: ignore[attr-defined]
-        except (error, EOFError):
-            break
-        if len(out) >= size:
-            break
-    return bytes(out[:size])
-
-
-def _batches(block: _Block, registry: _Registry, wanted: Callable[[Channel], bool]) -> Iterator[Batch]:
-    for record in _records(block.data, _definitions(block.table), ()):
-        registry.add(record)
-    rows = block.table.of(Op.MESSAGE)
-    if rows.size == 0:
-        return
-    start, length = block.table.start[rows], block.table.length[rows]
-    if int(length.min()) < MESSAGE_HEAD:
-        raise McapError(f"a message record is shorter than its {MESSAGE_HEAD} bytes of head")
-    heads = _heads(block.data, start)
-    ids = heads["channel_id"]
-    for key in dict.fromkeys(ids.tolist()) if ids.size < 64 else np.unique(ids).tolist():
-        channel = registry.channels.get(key)
-        if channel is None:
-            raise McapError(f"messages of channel {key}, which no record defines")
-        if not wanted(channel):
-            continue
-        own = np.flatnonzero(ids == key)
-        payloads = Payloads(block.data, start[own] + MESSAGE_HEAD, length[own] - MESSAGE_HEAD)
-        yield Batch(
-            channel,
-            registry.schemas.get(channel.schema_id),
-            heads["log_time"][own],
-            heads["publish_time"][own],
-            payloads,
-        )
-
-
-def _definitions(table: Table) -> Table:
-    rows = np.flatnonzero((table.opcode == Op.SCHEMA) | (table.opcode == Op.CHANNEL))
-    return Table(table.opcode[rows], table.start[rows], table.length[rows], table.end, True)
-
-
-def _heads(data: Bytes, start: Ints) -> NDArray[np.void]:
-    windows = np.lib.stride_tricks.sliding_window_view(data, MESSAGE_HEAD)
-    return np.asarray(windows[start]).view(MESSAGE_DTYPE)[:, 0]
+    return footer.summary_crc != 0 and _crc(data, start, at + 16) != footer.summary_crc

@@ -1,0 +1,199 @@
+"""Columns of topics, gathered over all chunks and files of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cdr import CdrError, Group, MessageType, decode, message_type
+from .mcap_messages import Batch, read_messages
+from .mcap_records import FRAME, MESSAGE_HEAD, McapError
+from .mcap_scan import Fault, Recording
+from .ros_messages import definition, is_known, short_name
+
+Values = dict[str, NDArray[Any]]
+FIRST_ROWS = 1024  # room made for a topic whose message count no summary tells
+
+
+class LogError(ValueError):
+    """A log that cannot be used; the text says what, where and how to mend it, in one line."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic that is looked for: which types may be on it, and what is taken out of them.
+
+    An optional topic with another type on it is passed over: it is somebody else's.
+    """
+
+    name: str
+    types: tuple[str, ...]
+    take: Callable[[Group], Values]
+    optional: bool = False
+
+
+@dataclass
+class Found:
+    """What a topic gave: columns `stamp` and `log` (ns) and those of `Topic.take`, in file order.
+
+    room is how many rows are expected; the arrays grow when there are more.
+    """
+
+    room: int = FIRST_ROWS
+    size: int = 0
+    columns: Values = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return self.size
+
+    def add(self, values: Mapping[str, NDArray[Any]]) -> None:
+        """Append rows. Raises CdrError when a field changes its length from one message to another."""
+        stop = self.size + len(values["stamp"])
+        for name, new in values.items():
+            old = self.columns.get(name, np.empty((0, *new.shape[1:]), new.dtype.newbyteorder("=")))
+            if old.shape[1:] != new.shape[1:]:
+                raise CdrError(
+                    f"{name} has {new.shape[1:]} values in one message and {old.shape[1:]} in another"
+                )
+            self.columns[name] = _with_room(old, self.size, max(stop, self.room))
+            self.columns[name][self.size : stop] = new
+        self.size = stop
+
+    def take(self) -> Values:
+        """The columns, handed over: nothing is kept here."""
+        columns = {name: values[: self.size] for name, values in self.columns.items()}
+        self.columns = {}
+        return columns
+
+
+def _with_room(old: NDArray[Any], used: int, rows: int) -> NDArray[Any]:
+    if len(old) >= rows:
+        return old
+    grown = np.empty((max(rows, 2 * len(old)), *old.shape[1:]), old.dtype)
+    grown[:used] = old[:used]
+    return grown
+
+
+def take_imu(group: Group) -> Values:
+    return {
+        "specific_force": group.column("linear_acceleration"),
+        "angular_velocity": group.column("angular_velocity"),
+    }
+
+
+def take_mag(group: Group) -> Values:
+    return {"magnetic_field": group.column("magnetic_field")}
+
+
+def take_fix(group: Group) -> Values:
+    return {
+        "status": group.column("status.status"),
+        "lat": group.column("latitude"),
+        "lon": group.column("longitude"),
+        "alt": group.column("altitude"),
+        "variance": group.column("position_covariance")[:, [0, 4, 8]],
+        "covariance_type": group.column("position_covariance_type"),
+    }
+
+
+def take_velocity(group: Group) -> Values:
+    twist = "twist" if "twist.linear.x" in group.layout.leaves else "twist.twist"
+    return {"east": group.column(f"{twist}.linear.x"), "north": group.column(f"{twist}.linear.y")}
+
+
+def take_joints(names: Sequence[str]) -> Callable[[Group], Values]:
+    """Positions of the named joints, NaN for those that a message lacks."""
+
+    def take(group: Group) -> Values:
+        n = group.rows.size
+        places = _joint_places(group)
+        positions = group.column("position") if places else np.empty((n, 0))
+        return {name: positions[:, places[name]] if name in places else np.full(n, np.nan) for name in names}
+
+    return take
+
+
+def _joint_places(group: Group) -> dict[str, int]:
+    """Place of each joint in `position`. Raises CdrError when names change between messages of one layout."""
+    count = sum(1 for path in group.layout.leaves if path.startswith("name."))
+    places = {}
+    for i in range(count):
+        names = group.column(f"name.{i}")
+        if not (names == names[0]).all():
+            raise CdrError(f"{group.layout.kind.name}: joint {i} changes its name from message to message")
+        places[names[0].decode(errors="replace")] = i
+    return places
+
+
+# -- collecting ------------------------------------------------------------------------------------------
+
+
+def collect(recordings: Sequence[Recording], topics: Iterable[Topic]) -> tuple[dict[str, Found], list[Fault]]:
+    """Columns of the topics that are there, over all files of a recording, and what was damaged.
+
+    Raises LogError, naming file and topic, for a type that is not expected or a message that cannot be read.
+    """
+    wanted = {topic.name: topic for topic in topics}
+    found: dict[str, Found] = {}
+    faults: list[Fault] = []
+    for recording in recordings:
+        faults += recording.faults
+        for channel in recording.channels.values():
+            if channel.topic in wanted:
+                found.setdefault(channel.topic, Found(_room(recordings, channel.topic)))
+        try:
+            for item in read_messages(recording, lambda channel: channel.topic in wanted):
+                if isinstance(item, Fault):
+                    faults.append(item)
+                else:
+                    _add(found.setdefault(item.channel.topic, Found()), wanted[item.channel.topic], item)
+        except (CdrError, McapError) as error:
+            raise LogError(f"{recording.path}: {error}") from None
+    return found, faults
+
+
+def _room(recordings: Sequence[Recording], topic: str) -> int:
+    """Rows to make room for: what the summaries tell, but never more than the bytes could hold."""
+    told = possible = 0
+    for recording in recordings:
+        counts = {} if recording.statistics is None else recording.statistics.channel_message_counts
+        told += sum(
+            counts.get(key, 0) for key, channel in recording.channels.items() if channel.topic == topic
+        )
+        size = recording.data.size + sum(chunk.uncompressed_size for chunk in recording.chunks)
+        possible += size // (FRAME + MESSAGE_HEAD)
+    return min(told, possible) or FIRST_ROWS
+
+
+def _add(found: Found, topic: Topic, batch: Batch) -> None:
+    if topic.optional and (batch.schema is None or short_name(batch.schema.name) not in topic.types):
+        return
+    kind = _kind(topic, batch)
+    log_time = batch.log_time.astype(np.int64)
+    try:
+        for group in decode(kind, batch.payloads):
+            log = log_time[group.rows]
+            stamp = group.stamp_ns("header.stamp")
+            # many publishers leave the stamp at zero
+            found.add({"stamp": np.where(stamp == 0, log, stamp), "log": log, **topic.take(group)})
+    except CdrError as error:
+        raise CdrError(f"topic {topic.name}, {error}") from None
+
+
+def _kind(topic: Topic, batch: Batch) -> MessageType:
+    """The type of a batch's messages. Raises CdrError for one that is unexpected or cannot be read."""
+    schema, encoding = batch.schema, batch.channel.message_encoding
+    name = "messages without a schema" if schema is None else schema.name
+    if schema is None or short_name(name) not in topic.types:
+        raise CdrError(f"topic {topic.name} holds {name}, not {' or '.join(topic.types)}")
+    if encoding != "cdr":
+        raise CdrError(f"topic {topic.name} is encoded as {encoding!r}; only 'cdr' (ROS 2) is read")
+    if schema.encoding == "ros2msg" and schema.data.strip():
+        return message_type(name, schema.data.decode(errors="replace"))
+    if is_known(name):  # recorders that store no text, or another notation, for a type whose fields we know
+        return message_type(name, definition(name))
+    raise CdrError(f"topic {topic.name}: its schema is in {schema.encoding!r}; only 'ros2msg' is read")

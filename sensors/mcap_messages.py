@@ -1,0 +1,258 @@
+"""Messages of a recording, chunk by chunk: decompressed in threads, checked, and bounded in time and memory.
+
+What is damaged is left out and said (`Fault`), never guessed; sizes are claims until the bytes are there.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import os
+import zlib
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import lz4.frame
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from .cdr import Payloads
+from .mcap_records import (
+    MESSAGE_DTYPE,
+    MESSAGE_HEAD,
+    Bytes,
+    Channel,
+    Chunk,
+    Ints,
+    McapError,
+    Op,
+    Schema,
+    Table,
+    walk,
+)
+from .mcap_scan import Fault, Recording, Registry, let_go, records_of
+
+MAX_CHUNK = 256 * 2**20  # bytes, uncompressed; usual chunks are 1 to 4 MiB
+MAX_TOTAL = 64 * 2**30  # bytes, uncompressed, of all chunks
+MAX_RATIO = 2000  # and at most this many times the file's size: recordings shrink by 2 to 50
+AHEAD = 8 * 2**20  # bytes of chunks that are decompressed ahead of their use
+WORKERS = min(4, os.cpu_count() or 1)
+ZSTD_MAGIC = np.frombuffer(b"\x28\xb5\x2f\xfd", np.uint8)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Messages of one channel from one chunk, in file order."""
+
+    channel: Channel
+    schema: Schema | None
+    log_time: NDArray[np.uint64]
+    publish_time: NDArray[np.uint64]
+    payloads: Payloads
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Decompressed records, or the fault that hides them."""
+
+    data: Bytes
+    table: Table
+    faults: tuple[Fault, ...] = ()
+
+
+def read_messages(recording: Recording, wanted: Callable[[Channel], bool]) -> Iterator[Batch | Fault]:
+    """Messages of the wanted channels in file order, a batch for each chunk and channel, and what is lost.
+
+    Raises McapError for an unknown compression, for sizes that no recording has (a decompression bomb), or
+    for a message without its channel.
+    """
+    _refuse_bombs(recording)
+    registry = Registry(dict(recording.schemas), dict(recording.channels))
+    if recording.loose.opcode.size:
+        yield from _batches(_Block(recording.data, recording.loose), registry, wanted)
+    with ThreadPoolExecutor(WORKERS) as pool:
+        for block in _ahead(pool, recording):
+            yield from block.faults
+            yield from _batches(block, registry, wanted)
+
+
+def _refuse_bombs(recording: Recording) -> None:
+    total = sum(chunk.uncompressed_size for chunk in recording.chunks)
+    if total > min(MAX_TOTAL, MAX_RATIO * recording.data.size):
+        raise McapError(
+            f"its chunks claim {total} bytes uncompressed, the file has {recording.data.size}; refused"
+        )
+
+
+def _ahead(pool: ThreadPoolExecutor, recording: Recording) -> Iterator[_Block]:
+    """Opened chunks in order; others are opened in threads meanwhile, AHEAD bytes of them at most."""
+    waiting: deque[tuple[Chunk, Future[_Block]]] = deque()
+    size = 0
+    for chunk in recording.chunks:
+        while waiting and size + chunk.uncompressed_size > AHEAD:
+            done, block = waiting.popleft()
+            size -= done.uncompressed_size
+            yield block.result()
+            let_go(recording.data, done.start, done.size)
+        waiting.append((chunk, pool.submit(open_chunk, recording.data, chunk)))
+        size += chunk.uncompressed_size
+    for _, block in waiting:
+        yield block.result()
+
+
+def open_chunk(data: Bytes, chunk: Chunk) -> _Block:
+    """A chunk's records, decompressed and checked.
+
+    Raises McapError for an unknown compression and for a size that no chunk has.
+    """
+    if chunk.uncompressed_size > MAX_CHUNK:
+        raise McapError(f"a chunk claims {chunk.uncompressed_size} bytes, more than {MAX_CHUNK}; refused")
+    raw = _decompress(data.data[chunk.start : chunk.start + chunk.size], chunk)
+    span = _span(chunk)
+    content = np.frombuffer(raw, np.uint8)
+    if content.size == chunk.uncompressed_size and chunk.uncompressed_crc not in (0, zlib.crc32(raw)):
+        fault = Fault(f"the chunk of {span} has a wrong CRC", f"its messages ({span}) are lost")
+        return _Block(content[:0], walk(content, 0, 0), (fault,))
+    table = walk(content, 0, content.size)
+    if content.size == chunk.uncompressed_size and table.complete:
+        return _Block(content, table)
+    fault = Fault(
+        f"the chunk of {span} is cut: {content.size} of {chunk.uncompressed_size} bytes could be read",
+        f"its {table.of(Op.MESSAGE).size} whole messages were salvaged, the rest is lost",
+    )
+    return _Block(content, table, (fault,))
+
+
+def _span(chunk: Chunk) -> str:
+    return f"{_utc(chunk.message_start_time)} to {_utc(chunk.message_end_time)}"
+
+
+def _utc(t_ns: int) -> str:
+    moment = dt.datetime(1970, 1, 1, tzinfo=dt.UTC) + dt.timedelta(microseconds=t_ns // 1000)
+    return moment.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z"
+
+
+def _decompress(packed: memoryview, chunk: Chunk) -> bytes | memoryview:
+    """As much of the chunk's content as can be had, never more than it claims."""
+    size = chunk.uncompressed_size
+    match chunk.compression:
+        case "":
+            return packed[:size]
+        case "zstd":
+            return _zstd(packed, size)
+        case "lz4":
+            return _lz4(packed, size)
+    raise McapError(f"a chunk is compressed with {chunk.compression!r}; zstd, lz4 and none are known")
+
+
+def _zstd(packed: memoryview, size: int) -> bytes:
+    try:
+        if 0 <= zstandard.frame_content_size(packed) <= size:
+            return zstandard.ZstdDecompressor().decompress(packed)[:size]
+    except zstandard.ZstdError:
+        pass  # cut or damaged: below, as far as it goes
+    return _as_far_as_it_goes(zstandard.ZstdDecompressor().decompressobj(), packed, size, zstandard.ZstdError)
+
+
+def _lz4(packed: memoryview, size: int) -> bytes:
+    try:
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size))
+    except RuntimeError:
+        return _as_far_as_it_goes(lz4.frame.LZ4FrameDecompressor(), packed, size, RuntimeError)
+
+
+def _as_far_as_it_goes(engine: object, packed: memoryview, size: int, error: type[Exception]) -> bytes:
+    """Decompress in small steps until the input ends, breaks, or has given the size that was claimed."""
+    out = bytearray()
+    step = 256
+    for at in range(0, len(packed), step):
+        try:
+            out += engine.decompress(packed[at : at + step])  # type: ignore[attr-defined]
+        except (error, EOFError):
+            break
+        if len(out) >= size:
+            break
+    return bytes(out[:size])
+
+
+def _batches(block: _Block, registry: Registry, wanted: Callable[[Channel], bool]) -> Iterator[Batch]:
+    for record in records_of(block.data, _definitions(block.table), ()):
+        registry.add(record)
+    rows = block.table.of(Op.MESSAGE)
+    if rows.size == 0:
+        return
+    start, length = block.table.start[rows], block.table.length[rows]
+    if int(length.min()) < MESSAGE_HEAD:
+        raise McapError(f"a message record is shorter than its {MESSAGE_HEAD} bytes of head")
+    heads = _heads(block.data, start)
+    ids = heads["channel_id"]
+    for key in dict.fromkeys(ids.tolist()) if ids.size < 64 else np.unique(ids).tolist():
+        channel = registry.channels.get(key)
+        if channel is None:
+            raise McapError(f"messages of channel {key}, which no record defines")
+        if not wanted(channel):
+            continue
+        own = np.flatnonzero(ids == key)
+        payloads = unpacked(Payloads(block.data, start[own] + MESSAGE_HEAD, length[own] - MESSAGE_HEAD))
+        yield Batch(
+            channel,
+            registry.schemas.get(channel.schema_id),
+            heads["log_time"][own],
+            heads["publish_time"][own],
+            payloads,
+        )
+
+
+def unpacked(payloads: Payloads) -> Payloads:
+    """Messages that rosbag2 compressed one by one (`compression_mode: message`), decompressed.
+
+    Only metadata.yaml tells that a recording is; but no message of ROS begins as a zstd frame does, so
+    the bytes themselves are asked.
+
+    Raises McapError for a frame that is damaged, and when they claim more than MAX_CHUNK bytes in all.
+    """
+    if len(payloads) == 0 or not _packed(payloads).any():
+        return payloads
+    engine, size, parts = zstandard.ZstdDecompressor(), 0, []
+    for row, packed in enumerate(_packed(payloads).tolist()):
+        part = payloads.at(row)
+        if packed:
+            part = _frame(engine, part, row)
+        size += len(part)
+        if size > MAX_CHUNK:
+            raise McapError(
+                f"messages compressed one by one claim more than {MAX_CHUNK} bytes a chunk; refused"
+            )
+        parts.append(part)
+    length = np.array([len(part) for part in parts], np.int64)
+    return Payloads(np.frombuffer(b"".join(parts), np.uint8), np.cumsum(length) - length, length)
+
+
+def _packed(payloads: Payloads) -> NDArray[np.bool_]:
+    """Which messages begin as a zstd frame."""
+    long = payloads.length >= ZSTD_MAGIC.size
+    begins = np.zeros(len(payloads), np.bool_)
+    at = payloads.start[long][:, np.newaxis] + np.arange(ZSTD_MAGIC.size)
+    begins[long] = (payloads.data[at] == ZSTD_MAGIC).all(axis=1)
+    return begins
+
+
+def _frame(engine: zstandard.ZstdDecompressor, part: bytes, row: int) -> bytes:
+    try:
+        if zstandard.frame_content_size(part) > MAX_CHUNK:
+            raise McapError(f"message {row} claims more than {MAX_CHUNK} bytes uncompressed; refused")
+        return bytes(engine.decompress(part, max_output_size=MAX_CHUNK))
+    except zstandard.ZstdError:
+        raise McapError(f"message {row} is compressed with zstd, but damaged") from None
+
+
+def _definitions(table: Table) -> Table:
+    rows = np.flatnonzero((table.opcode == Op.SCHEMA) | (table.opcode == Op.CHANNEL))
+    return Table(table.opcode[rows], table.start[rows], table.length[rows], table.end, True)
+
+
+def _heads(data: Bytes, start: Ints) -> NDArray[np.void]:
+    windows = np.lib.stride_tricks.sliding_window_view(data, MESSAGE_HEAD)
+    return np.asarray(windows[start]).view(MESSAGE_DTYPE)[:, 0]
