@@ -1,8 +1,8 @@
-"""Batch speed: passes a minute in one worker process, in two, and on Dask with two workers; with the efficiency.
+"""Batch speed: passes a minute in one worker process, in two, and on Dask with two workers.
 
     python benchmarks/batch.py [--passes 24] [--seconds 60] [--workers 2]
 
-Synthetic raw passes are made first (their time is not counted), and one is run so that compiled code is cached.
+Synthetic raw passes are made first (not counted), and one is run so that compiled code is cached.
 Efficiency = time with one worker / (workers × time with that many).
 """
 

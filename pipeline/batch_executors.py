@@ -106,7 +106,7 @@ def _leave_with_parent(lifeline: Connection) -> None:
         os._exit(1)
 
 
-def dask_executor(address: str) -> tuple[Executor, int]:
+def dask_executor(address: str, timeout: float = 15.0) -> tuple[Executor, int]:
     """An executor over the Dask cluster at `address` (tcp://host:8786), and how many tasks it runs at once.
 
     Raises ClusterError when the extra is not installed or nobody answers.
@@ -116,7 +116,7 @@ def dask_executor(address: str) -> tuple[Executor, int]:
     except ImportError:
         raise ClusterError("--scheduler needs Dask: pip install 'smts-validate[cluster]'") from None
     try:
-        client = Client(address, timeout="15s", set_as_default=False)
+        client = Client(address, timeout=f"{timeout}s", set_as_default=False)
     except (OSError, ValueError) as error:
         raise ClusterError(
             f"{address}: no Dask scheduler answers there ({error}); start `dask scheduler`"

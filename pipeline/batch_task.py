@@ -16,6 +16,7 @@ from typing import Any, Literal
 from .batch_find import Source, filesystem, is_url
 from .batch_limits import LimitReached, Limits, limited
 from .batch_store import Store, open_store
+from .batch_warm import compiled_once
 from .run import RunSettings
 
 Status = Literal["done", "unchanged", "failed"]
@@ -55,7 +56,9 @@ def run_task(task: Task) -> Outcome:
     A failing pass is an Outcome with its reason, not an exception.
     """
     begin, cpu = monotonic(), process_time()
-    status, reason, metrics = _attempt(task)
+    status, reason, metrics = compiled_once(
+        program_digest(), lambda: _attempt(task), good=lambda attempted: attempted[0] == "done"
+    )
     return Outcome(
         run=task.run,
         source=task.source.path,
