@@ -9,13 +9,13 @@ from numba import njit
 
 from . import _layout as at
 from ._integrators import has_diverged, substeps
-from ._kernels import FORCE, distance_force, interpolate, seeder_force
+from ._kernels import FORCE, add_distance_force, interpolate, seeder_force
 from ._layout import Floats, Options, Tables
 
 YAW2, W2, SLIP, FULL_SIZE = at.YAW2, at.W2, at.SLIP, at.FULL_SIZE
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def impose(t: float, table: Floats, tables: Tables, s: Floats, u: Floats, force_row: int) -> None:
     """Tractor's pose and rates at t into the state; its accelerations and the seeder's disturbance into u."""
     place = (t - tables.t0) / tables.dt
@@ -30,7 +30,7 @@ def impose(t: float, table: Floats, tables: Tables, s: Floats, u: Floats, force_
             u[FORCE + k] = interpolate(tables.time_force[force_row], place, k)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def trailed_derivative(
     s: Floats, p: Floats, u: Floats, tables: Tables, row: int, options: Options, rate: Floats
 ) -> None:
@@ -40,9 +40,10 @@ def trailed_derivative(
     vx2 = s[at.VX1] + l4 * s1 * w1 + l5 * s2 * w2
     vy2 = s[at.VY1] - l4 * c1 * w1 - l5 * c2 * w2
     fx, fy, moment = seeder_force(c2 * vx2 + s2 * vy2, c2 * vy2 - s2 * vx2, w2, s, p, options, rate)
-    fx += u[FORCE + 3] + distance_force(s[at.DISTANCE], 3, p, tables, row)
-    fy += u[FORCE + 4] + distance_force(s[at.DISTANCE], 4, p, tables, row)
-    moment += u[FORCE + 5] + distance_force(s[at.DISTANCE], 5, p, tables, row)
+    add_distance_force(s[at.DISTANCE], p, tables, row, u)
+    fx += u[at.FORCE_NOW + 3]
+    fy += u[at.FORCE_NOW + 4]
+    moment += u[at.FORCE_NOW + 5]
     q4 = moment - l5 * fy  # l5·(sin·F_x − cos·F_y) of the world's components
     if options.as_printed == 0:
         q4 += m2 * l4 * l5 * (s1 * c2 - c1 * s2) * w1 * w1
@@ -52,7 +53,7 @@ def trailed_derivative(
     rate[at.DISTANCE] = c1 * s[at.VX1] + s1 * s[at.VY1]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def move(s: Floats, k: Floats, h: float, size: int, trial: Floats) -> None:
     """trial = s + h·k for the seeder's own states (yaw2, its rate, the distance, the slips)."""
     for i in range(at.DISTANCE, size):
@@ -61,7 +62,7 @@ def move(s: Floats, k: Floats, h: float, size: int, trial: Floats) -> None:
     trial[W2] = s[W2] + h * k[W2]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def trailed_step(
     t: float, h: float, s: Floats, size: int, p: Floats, table: Floats, tables: Tables, row: int,
     options: Options, u: Floats, k: Floats, trial: Floats,
@@ -81,7 +82,7 @@ def trailed_step(
     impose(t + h, table, tables, s, u, row)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def run_trailed(
     initial: Floats, p: Floats, start: float, table: Floats, tables: Tables, row: int, options: Options,
     h: float, every: int, out: Floats,
@@ -116,7 +117,7 @@ def run_trailed(
     return int(out.shape[0])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def run_trailed_batch(
     initial: Floats, p: Floats, start: Floats, table: Floats, tables: Tables, rows: Floats, options: Options,
     h: float, every: int, out: Floats, good: Floats,

@@ -1,4 +1,4 @@
-"""Compiled runs: inputs at an instant, the driver, fixed-step Runge–Kutta 4, and batches of runs."""
+"""Compiled runs: fixed-step Runge–Kutta 4, adaptive Dormand–Prince 4(5), and batches of runs."""
 
 from __future__ import annotations
 
@@ -8,133 +8,35 @@ import numpy as np
 from numba import njit
 
 from . import _layout as at
-from ._kernels import SLOWEST, derivative, interpolate
+from ._kernels import SLOWEST, derivative
 from ._layout import Floats, Options, Tables
+from ._steering import TICK, load_inputs, steering, tick
 
 FULL_SIZE, SLIP, VX1, VY1, W1, W2 = at.FULL_SIZE, at.SLIP, at.VX1, at.VY1, at.W1, at.W2
-X1, Y1, YAW1, YAW2, DISTANCE = at.X1, at.Y1, at.YAW1, at.YAW2, at.DISTANCE
-FORCE, FORCE_SIZE = at.FORCE, at.FORCE_SIZE
+X1, Y1, YAW1, YAW2 = at.X1, at.Y1, at.YAW1, at.YAW2
 HITCH, L5 = at.HITCH, at.HITCH_TO_COM
 WHEELS, WHEEL_SIZE = at.WHEELS, at.WHEEL_SIZE
 STABLE = 1.5  # of h·λ: Runge–Kutta 4 is stable on the real axis up to 2.78
 FASTEST_TURN = 50.0  # rad/s; a body that turns faster has diverged
+MOST_TRIALS = 200_000  # of the adaptive integrator between two samples; beyond, the run counts as diverged
 
-# Place of the driver's own memory: progress along the path, last and next steering angle, time of the last
-# tick, newest place in the ring of past commands, then the ring.
-PROGRESS, FROM, TO, TICK, NEWEST, RING = range(6)
-RING_SIZE = 256
-
-
-@njit(cache=True)
-def inner_angles(mean: float, ratio: float) -> float:
-    """Half the difference of left and right front angle, so that their mean is `mean`, rad.
-
-    Ackermann: cot right − cot left = track/wheelbase = k, hence
-    2·d = atan(k/2) − asin(k·cos(2·mean)/√(4 + k²)) with left = mean + d, right = mean − d.
-    """
-    if ratio == 0.0:
-        return 0.0
-    return 0.5 * (
-        math.atan(0.5 * ratio) - math.asin(ratio * math.cos(2.0 * mean) / math.sqrt(4.0 + ratio * ratio))
-    )
+# Dormand and Prince (1980), RK5(4)7M: nodes, stages, and the difference of the two solutions.
+NODES = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
+STAGES = np.array(
+    [
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [1 / 5, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [3 / 40, 9 / 40, 0.0, 0.0, 0.0, 0.0],
+        [44 / 45, -56 / 15, 32 / 9, 0.0, 0.0, 0.0],
+        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0.0, 0.0],
+        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0.0],
+        [35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
+    ]
+)
+ERROR = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
 
 
-@njit(cache=True)
-def steering(t: float, memory: Floats, driver: Floats, change: Floats, tables: Tables, h: float) -> float:
-    """Mean front angle at t: table (scaled, offset) plus the driver's ramp between its ticks."""
-    place = (t - tables.t0) / tables.dt
-    row = int(change[at.STEER_ROW])
-    mean = change[at.STEER_OFFSET] + change[at.STEER_SCALE] * line(tables.steer[row], place)
-    if driver[at.ACTIVE] > 0.0:
-        part = (t - memory[TICK]) / (driver[at.PERIOD_STEPS] * h)
-        mean += memory[FROM] + part * (memory[TO] - memory[FROM])
-    return float(mean)
-
-
-@njit(cache=True)
-def line(table: Floats, place: float) -> float:
-    """Linear interpolation in an equally spaced series, held beyond its ends."""
-    last = table.shape[0] - 1
-    if place <= 0.0:
-        return float(table[0])
-    if place >= last:
-        return float(table[last])
-    i = int(place)
-    return float(table[i] + (place - i) * (table[i + 1] - table[i]))
-
-
-@njit(cache=True)
-def load_inputs(t: float, mean: float, p: Floats, change: Floats, tables: Tables, u: Floats) -> None:
-    """Inputs u at time t for the mean front angle."""
-    place = (t - tables.t0) / tables.dt
-    half = inner_angles(mean, p[at.ACKERMANN])
-    u[at.SIN_LEFT], u[at.COS_LEFT] = math.sin(mean + half), math.cos(mean + half)
-    u[at.SIN_RIGHT], u[at.COS_RIGHT] = math.sin(mean - half), math.cos(mean - half)
-    u[at.SPEED] = change[at.SPEED_SCALE] * line(tables.speed, place) + change[at.SPEED_OFFSET]
-    u[at.ACCELERATION] = change[at.SPEED_SCALE] * line(tables.acceleration, place)
-    if tables.time_force.shape[1] > 0:
-        row = int(change[at.FORCE_ROW])
-        for k in range(FORCE_SIZE):
-            u[FORCE + k] = interpolate(tables.time_force[row], place, k)
-
-
-@njit(cache=True)
-def path_point(progress: float, tables: Tables) -> tuple[float, float, float]:
-    """x, y and heading of the path at a distance along it, going straight on beyond its ends."""
-    last = tables.path.shape[0] - 1
-    place = progress / tables.pitch
-    i = min(max(int(place), 0), last - 1)
-    a, b = tables.path[i], tables.path[i + 1]
-    part = min(max(place - i, 0.0), 1.0)
-    yaw = a[at.PATH_YAW] + part * (b[at.PATH_YAW] - a[at.PATH_YAW])
-    beyond = (place - i - part) * tables.pitch
-    x = a[at.PATH_X] + part * (b[at.PATH_X] - a[at.PATH_X]) + beyond * math.cos(yaw)
-    y = a[at.PATH_Y] + part * (b[at.PATH_Y] - a[at.PATH_Y]) + beyond * math.sin(yaw)
-    return x, y, yaw
-
-
-@njit(cache=True)
-def pursuit_angle(s: Floats, p: Floats, driver: Floats, memory: Floats, tables: Tables) -> float:
-    """Front angle that aims O1 at the path `preview` ahead: γ = gain·atan(2·L·y_aim/preview²) (pure
-    pursuit)."""
-    for _ in range(2):
-        x, y, yaw = path_point(memory[PROGRESS], tables)
-        memory[PROGRESS] += (s[X1] - x) * math.cos(yaw) + (s[Y1] - y) * math.sin(yaw)
-    x, y, _ = path_point(memory[PROGRESS] + driver[at.PREVIEW], tables)
-    aim = math.cos(s[YAW1]) * (y - s[Y1]) - math.sin(s[YAW1]) * (x - s[X1])
-    angle = driver[at.GAIN] * math.atan(2.0 * p[at.WHEELBASE] * aim / driver[at.PREVIEW] ** 2)
-    return float(min(max(angle, -driver[at.MAX_ANGLE]), driver[at.MAX_ANGLE]))
-
-
-@njit(cache=True)
-def delayed(angle: float, memory: Floats, ticks: float) -> float:
-    """Store a command in the ring and give the one of `ticks` (a fraction is interpolated) ago."""
-    newest = (int(memory[NEWEST]) + 1) % RING_SIZE
-    memory[NEWEST] = newest
-    memory[RING + newest] = angle
-    whole = int(ticks)
-    part = ticks - whole
-    late = memory[RING + (newest - whole) % RING_SIZE]
-    later = memory[RING + (newest - whole - 1) % RING_SIZE]
-    return float(late + part * (later - late))
-
-
-@njit(cache=True)
-def tick(t: float, s: Floats, p: Floats, driver: Floats, memory: Floats, tables: Tables, h: float) -> None:
-    """One decision of the driver: aim, delay, first-order lag and limited rate of the wheels until the
-    next."""
-    period = driver[at.PERIOD_STEPS] * h
-    angle = delayed(pursuit_angle(s, p, driver, memory, tables), memory, driver[at.DELAY] / period)
-    move = angle - memory[TO]
-    if driver[at.LAG] > 0.0:
-        move *= 1.0 - math.exp(-period / driver[at.LAG])
-    most = driver[at.MAX_RATE] * period
-    memory[FROM] = memory[TO]
-    memory[TO] += min(max(move, -most), most)
-    memory[TICK] = t
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def substeps(s: Floats, p: Floats, h: float) -> int:
     """Parts of a step that keep Runge–Kutta 4 stable: sideways damping grows as 1/v towards standstill."""
     speed = max(abs(s[VX1] * math.cos(s[YAW1]) + s[VY1] * math.sin(s[YAW1])), SLOWEST)
@@ -142,7 +44,7 @@ def substeps(s: Floats, p: Floats, h: float) -> int:
     return 1 + int(h * fastest / STABLE) if fastest < 1e6 else 1 + int(1e6 * h)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def finish_step(
     t: float, h: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats, change: Floats,
     tables: Tables, options: Options, step: float, u: Floats, k: Floats, trial: Floats,
@@ -166,7 +68,71 @@ def finish_step(
         s[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def fixed_span(
+    t: float, h: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats, change: Floats,
+    tables: Tables, options: Options, u: Floats, k: Floats, trial: Floats,
+) -> None:  # fmt: skip
+    """Runge–Kutta 4 over one step, in as many parts as stability asks for."""
+    parts = substeps(s, p, h)
+    for part in range(parts):
+        if part > 0:
+            derivative(s, p, u, tables, int(change[at.FORCE_ROW]), options, k[0])
+        finish_step(
+            t + part * h / parts, h / parts, s, size, p, driver, memory, change, tables, options, h, u, k, trial
+        )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def trial_step(
+    t: float, h: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats, change: Floats,
+    tables: Tables, options: Options, step: float, u: Floats, k: Floats, trial: Floats,
+) -> float:  # fmt: skip
+    """One Dormand–Prince step into trial, its first slope k[0] being known; gives its error over the tolerance."""
+    for stage in range(1, 7):
+        for i in range(size):
+            slope = 0.0
+            for j in range(stage):
+                slope += STAGES[stage, j] * k[j, i]
+            trial[i] = s[i] + h * slope
+        now = t + NODES[stage] * h
+        load_inputs(now, steering(now, memory, driver, change, tables, step), p, change, tables, u)
+        derivative(trial, p, u, tables, int(change[at.FORCE_ROW]), options, k[stage])
+    worst = 0.0
+    for i in range(size):
+        error = 0.0
+        for j in range(7):
+            error += ERROR[j] * k[j, i]
+        allowed = options.absolute_tolerance + options.relative_tolerance * max(abs(s[i]), abs(trial[i]))
+        worst = max(worst, abs(h * error) / allowed)
+    return worst
+
+
+@njit(cache=True, error_model="numpy")
+def adaptive_span(
+    t: float, span: float, guess: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats,
+    change: Floats, tables: Tables, options: Options, step: float, u: Floats, k: Floats, trial: Floats,
+) -> float:  # fmt: skip
+    """Dormand–Prince from t to t + span, its first slope k[0] being known; gives the next step to try, 0 if lost."""
+    done, h = 0.0, guess
+    for _ in range(MOST_TRIALS):
+        last = done + h >= span * (1.0 - 1e-12)
+        now = span - done if last else h
+        error = trial_step(
+            t + done, now, s, size, p, driver, memory, change, tables, options, step, u, k, trial
+        )
+        factor = 0.2 if not math.isfinite(error) else min(max(0.9 * max(error, 1e-10) ** -0.2, 0.2), 5.0)
+        if error <= 1.0:
+            for i in range(size):
+                s[i], k[0, i] = trial[i], k[6, i]
+            done += now
+            if last:
+                return max(h, now * factor)
+        h = now * factor
+    return 0.0
+
+
+@njit(cache=True, error_model="numpy")
 def start_slips(s: Floats, p: Floats, u: Floats) -> None:
     """Slip states of the first instant: the slip angles of rolling without relaxation."""
     s1, c1, s2, c2 = math.sin(s[YAW1]), math.cos(s[YAW1]), math.sin(s[YAW2]), math.cos(s[YAW2])
@@ -183,7 +149,7 @@ def start_slips(s: Floats, p: Floats, u: Floats) -> None:
         s[SLIP + i] = math.atan2(across, max(abs(along), SLOWEST))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def has_diverged(s: Floats) -> bool:
     """Whether the state is no longer finite, or a body spins as no machine does."""
     return not (
@@ -194,7 +160,7 @@ def has_diverged(s: Floats) -> bool:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def write_sample(s: Floats, rate: Floats, mean: float, sample: Floats) -> None:
     """One output sample: state, second derivatives, steering angle."""
     for i in range(at.STATE_SIZE):
@@ -204,7 +170,7 @@ def write_sample(s: Floats, rate: Floats, mean: float, sample: Floats) -> None:
     sample[at.STEER] = mean
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def run(
     initial: Floats, p: Floats, driver: Floats, change: Floats, tables: Tables, options: Options,
     h: float, every: int, memory: Floats, out: Floats,
@@ -216,11 +182,12 @@ def run(
         np.zeros(FULL_SIZE),
         np.zeros(at.INPUT_SIZE),
         np.zeros(FULL_SIZE),
-        np.zeros((4, FULL_SIZE)),
+        np.zeros((7, FULL_SIZE)),
     )
     s[: at.STATE_SIZE] = initial
     start, row, period = change[at.START], int(change[at.FORCE_ROW]), max(int(driver[at.PERIOD_STEPS]), 1)
     memory[TICK] = start
+    guess = h
     load_inputs(start, steering(start, memory, driver, change, tables, h), p, change, tables, u)
     start_slips(s, p, u)
     for step in range((out.shape[0] - 1) * every + 1):
@@ -232,30 +199,18 @@ def run(
             if has_diverged(s):
                 return step // every
             write_sample(s, k[0], steering(t, memory, driver, change, tables, h), out[step // every])
-        parts = substeps(s, p, h)
-        for part in range(parts):
-            if part > 0:
-                derivative(s, p, u, tables, row, options, k[0])
-            finish_step(
-                t + part * h / parts,
-                h / parts,
-                s,
-                size,
-                p,
-                driver,
-                memory,
-                change,
-                tables,
-                options,
-                h,
-                u,
-                k,
-                trial,
-            )
+        if options.adaptive == 1:
+            guess = adaptive_span(
+                t, h, guess, s, size, p, driver, memory, change, tables, options, h, u, k, trial
+            )  # fmt: skip
+            if guess == 0.0:
+                return step // every + 1
+        else:
+            fixed_span(t, h, s, size, p, driver, memory, change, tables, options, u, k, trial)
     return int(out.shape[0])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def run_batch(
     initial: Floats, p: Floats, driver: Floats, change: Floats, tables: Tables, options: Options,
     h: float, every: int, memory: Floats, out: Floats, good: Floats,

@@ -30,10 +30,10 @@ SLOWEST = (
 (WHEELS, WHEEL_SIZE, WHEEL_X, WHEEL_Y) = (at.WHEELS, at.WHEEL_SIZE, at.WHEEL_X, at.WHEEL_Y)
 (STIFFNESS, LIMIT, ROLLING, RELAXATION, SHARE) = (at.STIFFNESS, at.LIMIT, at.ROLLING, at.RELAXATION, at.SHARE)
 (SIN_LEFT, COS_LEFT, SIN_RIGHT, COS_RIGHT) = (at.SIN_LEFT, at.COS_LEFT, at.SIN_RIGHT, at.COS_RIGHT)
-FORCE = at.FORCE
+FORCE, FORCE_NOW = at.FORCE, at.FORCE_NOW
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fade(speed: float) -> float:
     """tanh(v / 0.05 m/s): a force against the motion that is gone at standstill."""
     if abs(speed) > 20.0 * FADE_SPEED:  # tanh(20) is 1 in double precision
@@ -41,7 +41,7 @@ def fade(speed: float) -> float:
     return math.tanh(speed / FADE_SPEED)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def wheel_force(
     forward: float,
     sideways: float,
@@ -57,7 +57,7 @@ def wheel_force(
     machine's, N.
     """
     rolling = max(abs(forward), SLOWEST)
-    slip = math.atan2(sideways, rolling)
+    slip = math.atan(sideways / rolling)
     rate = 0.0
     if p[base + RELAXATION] > 0.0:
         rate = rolling / p[base + RELAXATION] * (slip - slip_state)
@@ -70,7 +70,7 @@ def wheel_force(
     return drive - p[base + ROLLING] * fade(forward), across, rate
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def traction_demand(speed: float, p: Floats, u: Floats) -> float:
     """Traction that the speed controller asks for, N: mass·(a + (v_asked − v)/T) and the known
     resistances."""
@@ -80,7 +80,7 @@ def traction_demand(speed: float, p: Floats, u: Floats) -> float:
     return float(mass * wanted + p[at.RESISTANCE] * fade(asked))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def tractor_force(
     v: float, sideways: float, w: float, s: Floats, p: Floats, u: Floats, options: Options, rate: Floats
 ) -> tuple[float, float, float]:
@@ -106,7 +106,7 @@ def tractor_force(
     return sum_x, sum_y, moment
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def draft_force(
     v: float, sideways: float, w: float, p: Floats, options: Options
 ) -> tuple[float, float, float]:
@@ -120,7 +120,7 @@ def draft_force(
     return fx, fy, -point * fy
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def seeder_force(
     v: float, sideways: float, w: float, s: Floats, p: Floats, options: Options, rate: Floats
 ) -> tuple[float, float, float]:
@@ -137,7 +137,7 @@ def seeder_force(
     return sum_x, sum_y, moment
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def determinant3(
     a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float
 ) -> float:
@@ -145,7 +145,7 @@ def determinant3(
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def determinant4(m: Floats) -> float:
     """Determinant of a (4, 4) matrix by its first row."""
     total, sign = 0.0, 1.0
@@ -158,7 +158,7 @@ def determinant4(m: Floats) -> float:
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def solve_cramer(m: Floats, r: Floats, q: Floats) -> None:
     """q = m⁻¹·r by Cramer's rule, the paper's way."""
     whole = determinant4(m)
@@ -169,7 +169,7 @@ def solve_cramer(m: Floats, r: Floats, q: Floats) -> None:
         part[:, k] = m[:, k]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def solve_by_cramer(
     p: Floats, s1: float, c1: float, s2: float, c2: float, a34: float, a43: float,
     r1: float, r2: float, r3: float, r4: float, rate: Floats,
@@ -188,7 +188,7 @@ def solve_by_cramer(
     solve_cramer(m, r, rate[VX1 : W2 + 1])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def solve_by_elimination(
     p: Floats, s1: float, c1: float, s2: float, c2: float, a34: float, a43: float,
     r1: float, r2: float, r3: float, r4: float, rate: Floats,
@@ -210,7 +210,7 @@ def solve_by_elimination(
     rate[W2] = alpha2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def accelerate(
     s: Floats, p: Floats, s1: float, c1: float, s2: float, c2: float,
     q1: float, q2: float, q3: float, q4: float, options: Options, rate: Floats,
@@ -233,7 +233,7 @@ def accelerate(
         solve_by_elimination(p, s1, c1, s2, c2, a34, a43, q1, q2, q3, q4, rate)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def interpolate(table: Floats, place: float, column: int) -> float:
     """Linear interpolation in a column of an equally spaced table at a fractional row, held beyond its
     ends."""
@@ -246,33 +246,35 @@ def interpolate(table: Floats, place: float, column: int) -> float:
     return float(table[i, column] + (place - i) * (table[i + 1, column] - table[i, column]))
 
 
-@njit(cache=True)
-def distance_force(distance: float, component: int, p: Floats, tables: Tables, row: int) -> float:
-    """A component of the disturbance given over distance; the seeder meets it when its own CoM gets there."""
+@njit(cache=True, error_model="numpy")
+def add_distance_force(distance: float, p: Floats, tables: Tables, row: int, u: Floats) -> None:
+    """Disturbance of this instant into u[FORCE_NOW..]: over time plus over distance; the seeder meets the latter
+    when its own CoM gets there."""
+    for i in range(at.FORCE_SIZE):
+        u[at.FORCE_NOW + i] = u[FORCE + i]
     if tables.distance_force.shape[1] == 0:
-        return 0.0
-    behind = p[HITCH] + p[L5] if component > 2 else 0.0
-    return interpolate(tables.distance_force[row], (distance - behind) / tables.spacing, component)
+        return
+    table, here = tables.distance_force[row], distance / tables.spacing
+    behind = (distance - p[HITCH] - p[L5]) / tables.spacing
+    for i in range(at.FORCE_SIZE):
+        u[at.FORCE_NOW + i] += interpolate(table, here if i < 3 else behind, i)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def derivative(
     s: Floats, p: Floats, u: Floats, tables: Tables, row: int, options: Options, rate: Floats
 ) -> None:
     """Rate of the full state for the inputs u of this instant."""
     s1, c1, s2, c2 = math.sin(s[YAW1]), math.cos(s[YAW1]), math.sin(s[YAW2]), math.cos(s[YAW2])
-    vx, vy, w1, w2, l4, l5, distance = s[VX1], s[VY1], s[W1], s[W2], p[HITCH], p[L5], s[DISTANCE]
+    vx, vy, w1, w2, l4, l5 = s[VX1], s[VY1], s[W1], s[W2], p[HITCH], p[L5]
     vx2 = vx + l4 * s1 * w1 + l5 * s2 * w2
     vy2 = vy - l4 * c1 * w1 - l5 * c2 * w2
     v1, v2 = c1 * vx + s1 * vy, c2 * vx2 + s2 * vy2
     bx1, by1, moment1 = tractor_force(v1, c1 * vy - s1 * vx, w1, s, p, u, options, rate)
     bx2, by2, moment2 = seeder_force(v2, c2 * vy2 - s2 * vx2, w2, s, p, options, rate)
-    bx1 += u[FORCE] + distance_force(distance, 0, p, tables, row)
-    by1 += u[FORCE + 1] + distance_force(distance, 1, p, tables, row)
-    moment1 += u[FORCE + 2] + distance_force(distance, 2, p, tables, row)
-    bx2 += u[FORCE + 3] + distance_force(distance, 3, p, tables, row)
-    by2 += u[FORCE + 4] + distance_force(distance, 4, p, tables, row)
-    moment2 += u[FORCE + 5] + distance_force(distance, 5, p, tables, row)
+    add_distance_force(s[DISTANCE], p, tables, row, u)
+    bx1, by1, moment1 = bx1 + u[FORCE_NOW], by1 + u[FORCE_NOW + 1], moment1 + u[FORCE_NOW + 2]
+    bx2, by2, moment2 = bx2 + u[FORCE_NOW + 3], by2 + u[FORCE_NOW + 4], moment2 + u[FORCE_NOW + 5]
     fx2, fy2 = c2 * bx2 - s2 * by2, s2 * bx2 + c2 * by2
     q1 = c1 * bx1 - s1 * by1 + fx2
     q2 = s1 * bx1 + c1 * by1 + fy2

@@ -37,7 +37,8 @@ TRACTOR_WHEELS = 4
 # disturbance.
 SIN_LEFT, COS_LEFT, SIN_RIGHT, COS_RIGHT, SPEED, ACCELERATION, FORCE = range(7)
 FORCE_SIZE = 6  # main vector (x, y of the body's frame) and moment at O1, then at O2
-INPUT_SIZE = FORCE + FORCE_SIZE
+FORCE_NOW = FORCE + FORCE_SIZE  # with what is given over distance
+INPUT_SIZE = FORCE_NOW + FORCE_SIZE
 
 # Driver: one row a run; all zero and ACTIVE = 0 without one.
 ACTIVE, PREVIEW, DELAY, LAG, MAX_RATE, MAX_ANGLE, GAIN, PERIOD_STEPS = range(8)
@@ -67,13 +68,16 @@ IMPOSED_SIZE = 9
 
 
 class Options(NamedTuple):
-    """Choices of the compiled right-hand side, as whole numbers (0 or 1 but for the law's code)."""
+    """Choices of the compiled code, as whole numbers (0 or 1 but for the law's code), and tolerances."""
 
     law: int
     as_printed: int
     cramer: int
     ellipse: int
     draft_on_axis: int
+    adaptive: int
+    relative_tolerance: float
+    absolute_tolerance: float
 
 
 class Tables(NamedTuple):

@@ -22,6 +22,9 @@ def pack_options(settings: SimulationSettings) -> Options:
         cramer=int(settings.solver == "cramer"),
         ellipse=int(settings.friction_ellipse),
         draft_on_axis=int(settings.draft_direction == "axis"),
+        adaptive=int(settings.integrator == "dopri45"),
+        relative_tolerance=float(settings.relative_tolerance),
+        absolute_tolerance=float(settings.absolute_tolerance),
     )
 
 
@@ -126,8 +129,11 @@ def _is_uniform(t: Floats) -> bool:
     return bool(np.ptp(steps) <= 1e-6 * steps.mean())
 
 
-def pack_controls(controls: Controls, step: float) -> Tables:
-    """Controls on an equal grid: their own where it is equal, else one at the integration step."""
+def pack_controls(controls: Controls, step: float, trailed: bool = True) -> Tables:
+    """Controls on an equal grid: their own where it is equal, else one at the integration step.
+
+    trailed: whether there is a seeder; without one its share of the disturbance has nothing to act on.
+    """
     t = controls.t
     spacing = float((t[-1] - t[0]) / (t.size - 1)) if _is_uniform(t) else step
     if controls.over_time is not None:
@@ -141,7 +147,7 @@ def pack_controls(controls: Controls, step: float) -> Tables:
         steer=np.stack([np.interp(grid, t, row) for row in controls.steer_rows]),
         speed=speed,
         acceleration=np.gradient(speed, spacing),
-        time_force=_time_force(controls.over_time, grid),
+        time_force=_felt(_time_force(controls.over_time, grid), trailed),
         spacing=1.0 if over_distance is None else float(over_distance.spacing),
         distance_force=np.zeros((1, 0, at.FORCE_SIZE))
         if over_distance is None
@@ -151,6 +157,13 @@ def pack_controls(controls: Controls, step: float) -> Tables:
         if path is None
         else np.ascontiguousarray(np.stack([path.x, path.y, path.yaw, path.curvature], axis=1)),
     )
+
+
+def _felt(force: Floats, trailed: bool) -> Floats:
+    felt = np.array(force)
+    if not trailed:
+        felt[..., at.FORCE_SIZE // 2 :] = 0.0
+    return felt
 
 
 def _time_force(series: ForceSeries | None, grid: Floats) -> Floats:

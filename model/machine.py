@@ -115,8 +115,8 @@ class Seeder:
     def _require_axles(self) -> None:
         if not self.com_to_axle or len(self.com_to_axle) != len(self.track):
             raise MachineError(
-                f"seeder.com_to_axle has {len(self.com_to_axle)} entries and seeder.track {len(self.track)}; "
-                "list one of each for every axle"
+                f"seeder.com_to_axle has {len(self.com_to_axle)} entries and seeder.track "
+                f"{len(self.track)}; list one of each for every axle"
             )
         for axle, track in zip(self.com_to_axle, self.track, strict=True):
             if not math.isfinite(axle):
@@ -244,8 +244,8 @@ class Machine:
         lever = s.hitch_to_com + s.mean_axle
         if not lever > 0.0:
             raise MachineError(
-                f"seeder.com_to_axle is {s.mean_axle:g} m, which leaves the seeder's wheels without load; "
-                f"it must be above -seeder.hitch_to_com = {-s.hitch_to_com:g} m"
+                f"seeder.com_to_axle is {s.mean_axle:g} m, which leaves the seeder's wheels without "
+                f"load; it must be above -seeder.hitch_to_com = {-s.hitch_to_com:g} m"
             )
         carried = s.mass * GRAVITY * s.hitch_to_com / lever
         return carried / len(s.com_to_axle), s.mass * GRAVITY - carried
@@ -257,8 +257,8 @@ class Machine:
         value = self.tractor.hitch if self.seeder is None else self.seeder.mean_axle
         raise MachineError(
             f"{culprit} is {value:g} m, which leaves the tractor's {axle} wheels without load "
-            f"({load:.0f} N each); "
-            "move the seeder's axle towards its centre of mass, or the hitch towards the tractor's rear axle"
+            f"({load:.0f} N each); move the seeder's axle towards its centre of mass, or the hitch "
+            "towards the tractor's rear axle"
         )
 
     def replace_parameters(self, values: Mapping[str, Any]) -> Machine:

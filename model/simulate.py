@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _layout as at
-from ._integrators import FROM, PROGRESS, RING, RING_SIZE, TO, run_batch
+from ._integrators import run_batch
 from ._packing import pack_controls, pack_driver, pack_machine, pack_options
+from ._steering import FROM, PROGRESS, RING, RING_SIZE, TO
 from .inputs import Controls, Driver
 from .machine import Machine
 from .settings import SimulationSettings
@@ -186,7 +187,7 @@ def simulate_batch(
     change = _changes(
         len(state), start, steer_offset, steer_scale, speed_scale, speed_offset, steer_row, force_row
     )
-    tables = pack_controls(controls, step)
+    tables = pack_controls(controls, step, trailed=many[0].seeder is not None)
     _require_rows(change, tables)
     out = np.full((len(state), samples, at.OUTPUT_SIZE), np.nan)
     good = np.zeros(len(state))

@@ -24,7 +24,7 @@ def law_code(name: str) -> int:
     return NAMES.index(name)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def lateral_force(law: int, slip_angle: float, stiffness: float, limit: float) -> float:
     """Lateral force, N, of the law with that code."""
     if law == 1:

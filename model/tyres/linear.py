@@ -7,7 +7,7 @@ from numba import njit
 NAME = "linear"
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def lateral_force(slip_angle: float, stiffness: float, limit: float) -> float:
     """Force F = −clip(C·δ, −limit, limit), N."""
     force = -stiffness * slip_angle

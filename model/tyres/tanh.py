@@ -9,7 +9,7 @@ from numba import njit
 NAME = "tanh"
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def lateral_force(slip_angle: float, stiffness: float, limit: float) -> float:
     """Force F = −limit·tanh(C·δ/limit), N; slope −C at δ = 0, never beyond the limit."""
     if not limit > 0.0:
