@@ -5,7 +5,7 @@ Mean relative error is not offered: it divides by the deviation's zero crossings
 
 from __future__ import annotations
 
-from .base import Metric, Pair, Values
+from ._base import Metric, Pair, Values
 from .correlation import METRIC as CORRELATION
 from .cross_track import METRIC as CROSS_TRACK
 from .iso18571 import METRIC as ISO18571

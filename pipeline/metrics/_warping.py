@@ -55,7 +55,9 @@ def trace_back(steps: Any, path: Any) -> int:  # pragma: no cover - compiled
             j -= 1
 
 
-def warped(a: NDArray[np.float64], b: NDArray[np.float64], band: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def warped(
+    a: NDArray[np.float64], b: NDArray[np.float64], band: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Both signals along their cheapest common path, which strays at most `band` samples from the diagonal."""
     steps = np.zeros((a.size, a.size), dtype=np.int8)
     path = np.zeros((2 * a.size, 2), dtype=np.int64)

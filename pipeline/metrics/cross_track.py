@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import Floats, Metric, Pair, Values
+from ._base import Floats, Metric, Pair, Values
 
 
 def cross_track(pair: Pair) -> Values:
@@ -27,5 +27,10 @@ def _statistics(deviation: Floats) -> dict[str, float]:
 
 
 METRIC = Metric(
-    "cross_track", "Cross-track statistics (ISO 12188 style)", "same", float("nan"), "ISO 12188-2:2012, style", cross_track
+    "cross_track",
+    "Cross-track statistics (ISO 12188 style)",
+    "same",
+    float("nan"),
+    "ISO 12188-2:2012, style",
+    cross_track,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import Metric, Pair, Values, ratio
+from ._base import Metric, Pair, Values, ratio
 
 
 def nrmse(pair: Pair) -> Values:
