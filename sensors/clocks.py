@@ -1,14 +1,15 @@
 """Device, host and UTC time: wraps, resets, drift and one-sided latency -> the instant of measurement.
 
-Three clocks meet in a raw pass. A unit's own counter is regular, but its rate is off and it wraps and resets; the
-logger's (host) clock stamps arrival, late by a jittering latency that is never negative; GNSS sentences carry
-UTC. Since latency is one-sided, the line that best relates two clocks is not a least-squares line but the
-highest one below all points: it touches the samples that came through fastest (the lower convex hull).
+Three clocks meet in a raw pass. A unit's own counter is regular, but its rate is off, it wraps and resets.
+The logger's (host) clock stamps arrival, late by a jittering latency that is never negative. GNSS sentences
+carry UTC. Since latency is one-sided, the line that best relates two clocks is not a least-squares line but
+the highest one below all points: it touches the samples that came through fastest (the lower convex hull).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,14 +71,17 @@ class SampleTimes:
     t : (M,) s on the host's clock, true instant + the least latency
     host : (M,) s on the host's clock, arrival, jumps of that clock taken out
     drift : of the device's counter against the host, 1 (positive: counter runs fast); NaN without counter
+    doubled, disordered, resets : rows of the input that repeat a sample, come after a later one, begin a new
+        count; lost : samples missing in between; wraps : of the counter
+    host_jumps : (row, size in s) where the host's clock was set
     """
 
     index: Ints
     t: Floats
     host: Floats
     drift: float
-    doubled: int
-    disordered: int
+    doubled: Ints
+    disordered: Ints
     lost: int
     wraps: int
     resets: Ints
@@ -181,8 +185,8 @@ def _most_probable_slope(hx: Floats, hy: Floats, weight: float, slope: float, sl
 def find_steps(offset: Floats, window: int, threshold: float) -> list[tuple[int, float]]:
     """Lasting changes of a one-sided offset: (index of the first sample after it, size).
 
-    The least offset of the `window` samples before is held against that of the `window` samples from there on:
-    latency comes and goes, a reset or a jump of a clock stays.
+    The least offset of the `window` samples before is held against that of the `window` samples from there
+    on: latency comes and goes, a reset or a jump of a clock stays.
     """
     n = offset.size
     half = min(max(1, window // 2), n)
@@ -217,7 +221,7 @@ def without_jumps(host: Floats, jumps: list[tuple[int, float]]) -> Floats:
 
 
 def _counter_increments(counter: Ints, tick: float, span: int | None, host: Floats) -> tuple[Floats, Floats]:
-    """Advance of the counter from row to row (s, within half a span), and by how much less than the host's."""
+    """Advance of the counter from row to row (s, within half a span), and what the host's exceeds it by."""
     ahead = np.diff(counter)
     if span is None:
         return ahead * tick, np.diff(host) - ahead * tick
@@ -266,7 +270,7 @@ def sample_times(
     jumps = [(int(i) + 1, float(short[i])) for i in np.flatnonzero(near & (np.abs(short) > HUGE_STEP))]
     host = without_jumps(host, jumps)
     bounds = np.concatenate([[0], resets, [host.size]])
-    segments = [slice(int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    segments = [slice(int(a), int(b)) for a, b in pairwise(bounds)]
     window = round(STEP_WINDOW * rate)
     smaller = [
         (part.start + row, size)
@@ -299,17 +303,17 @@ def _fitted(
     wraps: int,
     jumps: tuple[tuple[int, float], ...],
 ) -> SampleTimes:
-    """Fit each segment's counter to the host's clock; one crystal, so the longest segment's rate serves all."""
+    """Fit each segment's counter to the host's clock; one crystal: the longest segment's rate serves all."""
     longest = max(range(len(segments)), key=lambda k: devices[k].size)
     slope = _device_line(devices[longest], host[segments[longest]]).slope
-    index, t, doubled, disordered, lost = [], [], 0, 0, 0
+    index, t, doubled, disordered, lost = [], [], [], [], 0
     for part, device in zip(segments, devices, strict=True):
         if device.size < MIN_SEGMENT and len(segments) > 1:
             continue
         order = np.argsort(device, kind="stable")
         fresh = np.diff(device[order], prepend=-np.inf) > 0.0
-        disordered += int(np.count_nonzero(np.diff(device) < 0.0))
-        doubled += int(np.count_nonzero(~fresh))
+        disordered.append(np.flatnonzero(np.diff(device) < 0.0) + 1 + part.start)
+        doubled.append(order[~fresh] + part.start)
         kept = order[fresh]
         line = _device_line(device, host[part], slope, SHARED_RATE_SD) if len(segments) > 1 else None
         line = line or _device_line(device, host[part])
@@ -324,8 +328,8 @@ def _fitted(
         times[rising],
         host[rows[rising]],
         -slope,
-        doubled,
-        disordered,
+        np.sort(np.concatenate(doubled)),
+        np.concatenate(disordered),
         lost,
         wraps,
         resets,
@@ -360,9 +364,9 @@ def _host_only(host: Floats, seq: Ints | None, rate: float) -> SampleTimes:
     fresh = np.diff(host, prepend=-np.inf) > 0.0
     kept = np.flatnonzero(fresh)
     lost = _lost(host[kept], None if seq is None else seq[kept], rate)
-    doubled = int(host.size - kept.size)
     none = np.zeros(0, dtype=np.int64)
-    return SampleTimes(kept, host[kept], host[kept], float("nan"), doubled, 0, lost, 0, none, ())
+    doubled = np.flatnonzero(~fresh)
+    return SampleTimes(kept, host[kept], host[kept], float("nan"), doubled, none, lost, 0, none, ())
 
 
 @dataclass(frozen=True)

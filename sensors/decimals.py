@@ -26,8 +26,8 @@ def cells(data: Bytes, start: Ints, stop: Ints, width: int) -> NDArray[np.uint8]
 def decimals(data: Bytes, start: Ints, stop: Ints) -> tuple[Floats, Bools]:
     """Values of the fields, and which are sound: a plain decimal, or empty (then the value is NaN).
 
-    A decimal of at most 15 digits comes out as Python's float() gives it: its digits as an integer, divided by
-    an exact power of ten, are rounded once.
+    A decimal of at most 15 digits comes out as Python's float() gives it: its digits as an integer, divided
+    by an exact power of ten, are rounded once.
     """
     mantissa, places, negative, digits, sound = _digits(data, start, stop)
     value = np.where(negative, -1.0, 1.0) * mantissa / 10.0**places
@@ -44,7 +44,7 @@ def integers(data: Bytes, start: Ints, stop: Ints) -> tuple[Ints, Bools]:
 def _digits(
     data: Bytes, start: Ints, stop: Ints, digits_allowed: int = MAX_DIGITS
 ) -> tuple[Ints, Ints, Bools, Ints, Bools]:
-    """Digits as an integer, how many stand after the point, sign, number of digits, and whether all is sound."""
+    """Digits as an integer, how many stand after the point, sign, number of digits, whether all is sound."""
     size = stop - start
     width = int(min(max(size.max(initial=0), 1), MAX_WIDTH))
     text = cells(data, start, stop, width)

@@ -31,8 +31,9 @@ def _own(values: ArrayLike) -> Floats:
 
 def to_enu(lat: ArrayLike, lon: ArrayLike, alt: ArrayLike, origin: Place) -> tuple[Floats, Floats, Floats]:
     """East, north, up (m) of WGS-84 positions in the tangent plane at `origin`; NaN stays NaN."""
-    e, n, u = pymap3d.geodetic2enu(_own(lat), _own(lon), _own(alt), origin.lat, origin.lon, origin.alt)
-    return np.asarray(e, dtype=np.float64), np.asarray(n, dtype=np.float64), np.asarray(u, dtype=np.float64)
+    found = pymap3d.geodetic2enu(_own(lat), _own(lon), _own(alt), origin.lat, origin.lon, origin.alt)
+    e, n, u = (np.asarray(length, dtype=np.float64) for length in found)
+    return e, n, u
 
 
 def to_geodetic(e: ArrayLike, n: ArrayLike, u: ArrayLike, origin: Place) -> tuple[Floats, Floats, Floats]:

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from . import clocks, manifest
+from .checks import rows_of
 from .clocks import ClockError, HostToUtc, SampleTimes
 from .formats import FORMATS
 from .health import health_of
-from .manifest import Manifest, Sensor
+from .manifest import Gps, Manifest, Sensor
 from .raw import Floats, Ints, Raw, RawError, RawGnss, RawImu, RawSteer
 from .streams import FieldLog, GnssStream, ImuStream, SteerStream, Stream, Warn, WheelStream
 
@@ -147,14 +148,18 @@ def _sample_times(raw: RawImu | RawSteer, rate: float, base: int, file: str) -> 
 
 def _clock_warnings(times: SampleTimes, rows: Ints, name: str, file: str) -> list[Warn]:
     found = []
-    if times.doubled:
-        found.append(Warn(f"{times.doubled} doubled rows", "the first of each is used", name, file))
-    if times.disordered:
-        found.append(
-            Warn(f"{times.disordered} rows out of order", "sorted by the unit's counter", name, file)
-        )
+    for where, what, effect in (
+        (times.doubled, "doubled", "the first of each is used"),
+        (times.disordered, "out of order", "sorted by the unit's counter"),
+    ):
+        if where.size:
+            found.append(Warn(f"{rows_of(where.size)} {what}", effect, name, file, int(rows[where[0]])))
+    step = np.diff(times.t)
+    longest = int(np.argmax(step)) if step.size else 0
+    after = int(rows[times.index[longest + 1]]) if step.size else None
     if times.lost:
-        found.append(Warn(f"{times.lost} samples lost", "left as gaps", name, file))
+        what = f"{rows_of(times.lost, 'sample')} lost"
+        found.append(Warn(what, f"left as gaps, the longest {step[longest]:.3f} s", name, file, after))
     for row in times.resets.tolist():
         found.append(
             Warn("the unit's counter was reset", "fitted anew from there", name, file, int(rows[row]))
@@ -173,8 +178,8 @@ def _clock_facts(times: SampleTimes) -> dict[str, Any]:
             "median": 1.0e3 * float(np.median(latency)),
             "p99": 1.0e3 * float(np.percentile(latency, 99)),
         },
-        "doubled": times.doubled,
-        "disordered": times.disordered,
+        "doubled": int(times.doubled.size),
+        "disordered": int(times.disordered.size),
         "lost": times.lost,
         "counter_wraps": times.wraps,
         "counter_resets": int(times.resets.size),
@@ -185,10 +190,10 @@ def _clock_facts(times: SampleTimes) -> dict[str, Any]:
 def _utc_map(
     run: Manifest, raws: Mapping[str, Raw], base: int
 ) -> tuple[HostToUtc, list[Warn], dict[str, Any]]:
-    """The logger's clock against UTC, from the GPS whose sentences came through best; UTC relative to `base`."""
+    """The logger's clock against UTC, from the first GPS log with host times; UTC relative to `base`."""
     for name, raw in raws.items():
         if isinstance(raw, RawGnss) and raw.host_ns is not None:
-            sensor = run.sensors[name]
+            sensor: Gps = run.of_kind("gps")[name]
             host, utc = _seconds(raw.host_ns, base), raw.utc - base * 1.0e-9
             host, jumps = clocks.steady_host(host, utc, sensor.rate)
             found = clocks.host_to_utc(host, utc, sensor.latency)

@@ -1,18 +1,17 @@
-"""run.toml: what a pass is, where each sensor sits (docs/formats reference; unknown keys name the nearest known)."""
+"""run.toml: what a pass is, where each sensor sits. An unknown key is an error that names the nearest one."""
 
 from __future__ import annotations
 
 import datetime as dt
 import difflib
-import math
 import re
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     StringConstraints,
@@ -21,11 +20,24 @@ from pydantic import (
     model_validator,
 )
 
+from .manifest_errors import one_line, told
+
 GRAVITY = 9.80665  # m/s², standard gravity
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+MAX_BYTES = 2**20  # of a run.toml
+MAX_SENSORS = 256
+
+
+def _a_number(value: Any) -> Any:
+    """Neither text nor true/false, which would otherwise be turned into numbers."""
+    if isinstance(value, str | bool):
+        raise ValueError("must be a number")
+    return value
+
+
+Finite = Annotated[float, BeforeValidator(_a_number), Field(allow_inf_nan=False)]
+Positive = Annotated[float, BeforeValidator(_a_number), Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, BeforeValidator(_a_number), Field(ge=0.0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 RunId = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=128)]
 Wheel = Literal["front_right", "front_left", "rear_right", "rear_left"]
@@ -70,6 +82,12 @@ class Line(Table):
         if not (abs(value[0]) <= 90.0 and abs(value[1]) <= 360.0):
             raise ValueError("must be latitude (within ±90) and longitude (within ±360) in degrees")
         return value
+
+    @model_validator(mode="after")
+    def _two_points(self) -> Line:
+        if self.a == self.b:
+            raise ValueError("a and b must be two different points")
+        return self
 
 
 class Operating(Table):
@@ -153,6 +171,7 @@ class Units(Table):
     accel: Literal["m/s2", "g"] = "m/s2"
     gyro: Literal["rad/s", "deg/s"] = "rad/s"
     mag: Literal["uT", "T", "gauss"] = "T"
+    angle: Literal["rad", "deg"] = "rad"
     host_time: Literal["ns", "us", "ms", "s"] = "ns"
     device_time: Literal["ns", "us", "ms", "s"] = "us"
 
@@ -165,13 +184,27 @@ class Sensor(Table):
     columns: dict[str, str] = Field(default_factory=dict)
     units: Units = Units()
 
+    COLUMNS: ClassVar[tuple[str, ...]] = ()  # the names that `columns` can rename
+
+    @field_validator("columns")
+    @classmethod
+    def _known_columns(cls, value: dict[str, str]) -> dict[str, str]:
+        for name in value:
+            if name not in cls.COLUMNS:
+                near = difflib.get_close_matches(name, cls.COLUMNS, n=1, cutoff=0.0)
+                hint = f"; did you mean `{near[0]}`?" if near else ""
+                raise ValueError(f"no column is called `{name}`{hint}")
+        return value
+
     @field_validator("file")
     @classmethod
     def _inside(cls, value: str | None) -> str | None:
         if value is None:
             return value
         path = PurePosixPath(value.replace("\\", "/"))
-        if not value or path.is_absolute() or ".." in path.parts or ":" in path.parts[0] or "\0" in value:
+        if not path.parts or path.is_absolute() or ".." in path.parts or not value.isprintable():
+            raise ValueError("must be a path inside the pass's folder, without '..'")
+        if re.match(r"[A-Za-z]:", value):
             raise ValueError("must be a path inside the pass's folder, without '..'")
         return value
 
@@ -183,6 +216,11 @@ class Sensor(Table):
 
 
 class Inertial(Sensor):
+    COLUMNS: ClassVar[tuple[str, ...]] = (
+        *("t_host_ns", "t_dev_us", "seq"),
+        *("ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz"),
+    )
+
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     rate: Positive
     gyro_noise: Positive | None = None  # rad/s/sqrt(Hz)
@@ -204,6 +242,8 @@ class Wds(Inertial):
 
 
 class Steer(Sensor):
+    COLUMNS: ClassVar[tuple[str, ...]] = ("t_host_ns", "angle")
+
     kind: Literal["steer"]
     rate: Positive
     noise_deg: Positive = 0.1
@@ -212,6 +252,11 @@ class Steer(Sensor):
 
 
 class Gps(Sensor):
+    COLUMNS: ClassVar[tuple[str, ...]] = (
+        *("t_host_ns", "t", "lat", "lon", "alt", "quality", "sd_east", "sd_north", "sd_up"),
+        *("speed", "course_deg", "heading_deg", "hdop", "satellites"),
+    )
+
     kind: Literal["gps"]
     body: Body = "tractor"
     position: Vector
@@ -233,17 +278,29 @@ class Manifest(Table):
     machine: Machine
     sensors: dict[str, AnySensor]
     conditions: dict[str, Any] = Field(default_factory=dict)
-    uncertainty: dict[str, NotNegative] = Field(
-        default_factory=dict
-    )  # "tyres.front.cornering_stiffness" = sd, SI
+    uncertainty: dict[str, NotNegative] = Field(default_factory=dict)  # by path, sd in SI
 
     @field_validator("sensors")
     @classmethod
     def _names(cls, value: dict[str, Any]) -> dict[str, Any]:
         for name in value:
-            if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]*", name):
-                raise ValueError(f"sensor name {name!r} must be letters, digits, '_' or '-'")
+            if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,63}", name):
+                raise ValueError(f"sensor name {name[:70]!r} must be up to 64 letters, digits, '_' or '-'")
+        if len(value) > MAX_SENSORS:
+            raise ValueError(f"{len(value)} sensors; a pass has at most {MAX_SENSORS}")
         return value
+
+    @model_validator(mode="after")
+    def _own_sources(self) -> Manifest:
+        owners: dict[tuple[str | None, str | None], str] = {}
+        for name, sensor in self.sensors.items():
+            first = owners.setdefault((sensor.file, sensor.topic), name)
+            if first != name:
+                what = sensor.file or sensor.topic
+                raise ValueError(
+                    f"sensors.{first} and sensors.{name} both read {what!r}; one of them is wrong"
+                )
+        return self
 
     @model_validator(mode="after")
     def _enough_sensors(self) -> Manifest:
@@ -265,6 +322,26 @@ class Manifest(Table):
         return {name: s for name, s in self.sensors.items() if s.kind == kind}
 
 
+_TABLES: dict[str, type[BaseModel]] = {
+    "": Manifest,
+    "run": Run,
+    "line": Line,
+    "operating": Operating,
+    "machine": Machine,
+    "machine.tractor": Tractor,
+    "machine.seeder": Seeder,
+    "machine.tyres": Tyres,
+    "machine.tyres.front": Tyre,
+    "machine.tyres.rear": Tyre,
+    "machine.tyres.seeder": Tyre,
+    "sensors.*.imd": Imd,
+    "sensors.*.wds": Wds,
+    "sensors.*.steer": Steer,
+    "sensors.*.gps": Gps,
+    "sensors.*.*.units": Units,
+}
+
+
 def parse(text: str, where: str = "run.toml") -> Manifest:
     """The manifest of a run.toml's text.
 
@@ -273,57 +350,26 @@ def parse(text: str, where: str = "run.toml") -> Manifest:
     try:
         return Manifest.model_validate(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
-        raise ManifestError(f"{where}: not valid TOML: {error}") from None
+        raise ManifestError(one_line(f"{where}: not valid TOML: {error}")) from None
     except ValidationError as error:
-        raise ManifestError(f"{where}: {_first_line(error)}") from None
+        raise ManifestError(one_line(f"{where}{told(error, text, _TABLES)}")) from None
+    except RecursionError:
+        raise ManifestError(f"{where}: tables nested too deeply") from None
 
 
 def read(path: Path) -> tuple[Manifest, str]:
-    """The manifest in a file, and its text."""
+    """The manifest in a file, and its text.
+
+    Raises ManifestError, one line: what, where, how to mend.
+    """
     try:
+        if path.exists() and not path.is_file():
+            raise ManifestError(f"{path}: is not a regular file")
+        if path.stat().st_size > MAX_BYTES:
+            raise ManifestError(f"{path}: is larger than 1 MiB; this is no run.toml")
         text = path.read_bytes().decode("utf-8-sig")
     except OSError as error:
         raise ManifestError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ManifestError(f"{path}: is not UTF-8 text; save it as UTF-8") from None
     return parse(text, str(path)), text
-
-
-def _first_line(error: ValidationError) -> str:
-    first = error.errors(include_url=False)[0]
-    where = ".".join(str(part) for part in first["loc"] if part not in ("imd", "wds", "gps", "steer"))
-    if first["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(str(first["loc"][-1]), list(_known_keys(Manifest)), n=1, cutoff=0.5)
-        hint = f"; did you mean `{near[0]}`?" if near else ""
-        return f"{where}: unknown key{hint}"
-    if first["type"] == "missing":
-        return f"{where}: this key is missing"
-    message = first["msg"].removeprefix("Value error, ")
-    value = first.get("input")
-    shown = (
-        f" (it is {value!r})"
-        if isinstance(value, int | float | str) and not (isinstance(value, float) and math.isnan(value))
-        else ""
-    )
-    return f"{where}: {message}{shown}" if where else f"{message}{shown}"
-
-
-def _known_keys(table: type[BaseModel]) -> Iterator[str]:
-    for kind in (
-        Manifest,
-        Run,
-        Line,
-        Operating,
-        Machine,
-        Tractor,
-        Seeder,
-        Tyres,
-        Tyre,
-        Imd,
-        Wds,
-        Steer,
-        Gps,
-        Units,
-    ):
-        for name, info in kind.model_fields.items():
-            yield info.alias or name

@@ -15,9 +15,9 @@ Floats = NDArray[np.float64]
 
 
 def rotation_matrix(roll: float, pitch: float, yaw: float) -> Floats:
-    """R = Rz(yaw)·Ry(pitch)·Rx(roll), (3, 3): turns vectors of the sensor's frame into the body's, v_body = R·v_sensor.
+    """R = Rz(yaw)·Ry(pitch)·Rx(roll), (3, 3); angles in rad, right-handed.
 
-    Angles in rad, right-handed.
+    It turns vectors of the sensor's frame into the body's: v_body = R·v_sensor.
     """
     cr, sr = math.cos(roll), math.sin(roll)
     cp, sp = math.cos(pitch), math.sin(pitch)

@@ -68,8 +68,8 @@ class RawGnss:
     host_ns : (N,) Unix ns by the logger's clock when an epoch's first sentence arrived; None: not recorded
     rows : (N,) line where each epoch begins
     values : the arrays of `GnssStream.ARRAYS`, (N,) each
-    sentences, rejected_count : how many lines were understood and how many refused; rejected : the refused ones
-        (the first ones, where there are very many)
+    sentences, rejected_count : how many lines were understood, how many refused
+    rejected : the refused lines (the first ones, where there are very many); reasons : their count by reason
     """
 
     utc: Floats

@@ -48,7 +48,7 @@ class Sentences:
         return Sentences(self.data, self.commas, *picked, self.host_ns[chosen])
 
     def field(self, number: int) -> tuple[Ints, Ints]:
-        """Where field `number` (1: the first after the address) starts and stops; empty where it is missing."""
+        """Where field `number` (1: the first after the address) starts and stops; empty where missing."""
         first = np.searchsorted(self.commas, self.dollar)
         bounds = np.append(self.commas, self.data.size)
         last = bounds.size - 1
@@ -62,7 +62,8 @@ class Sentences:
 
     def letter(self, number: int) -> Bytes:
         """First byte of a field, 0 where empty."""
-        return decimals.cells(self.data, *self.field(number), 1)[0]
+        first: Bytes = decimals.cells(self.data, *self.field(number), 1)[0]
+        return first
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ def _hex(byte: Bytes) -> Ints:
 
 
 def _kinds(data: Bytes, dollar: Ints, kinds: Sequence[str]) -> Ints:
-    """Which of `kinds` each address names: two letters of talker (none begins with P) and the kind, or all of it."""
+    """Which of `kinds` each address names: a talker's two letters (not P.) and the kind, or all of it."""
     padded = np.append(data, np.zeros(8, dtype=np.uint8))
     address = [padded[dollar + k] for k in range(1, 7)]
     five = address[5] == COMMA
@@ -162,7 +163,7 @@ def _kinds(data: Bytes, dollar: Ints, kinds: Sequence[str]) -> Ints:
 
 
 def _host_times(data: Bytes, dollar: Ints) -> Ints:
-    """The whole number before each `$`, a space between and a line's start before it; -1 where there is none."""
+    """The whole number at the line's start, a space between it and `$`; -1 where there is none."""
     length = np.zeros(dollar.size, dtype=np.int64)
     running = data[np.maximum(dollar - 1, 0)] == SPACE
     for k in range(2, PREFIX_DIGITS + 2):

@@ -92,7 +92,7 @@ class GnssStream:
 
     t, t_arrival : (N,) s, UTC
     lat, lon : (N,) degrees; alt : (N,) m above the ellipsoid; NaN where the epoch has no position
-    quality : (N,) GGA fix quality as float (0 none, 1 single, 2 DGPS, 4 RTK fixed, 5 RTK float, 6 dead reckoning)
+    quality : (N,) GGA fix quality as float (0 none, 1 single, 2 DGPS, 4 RTK fixed, 5 RTK float, 6 estimated)
     sd_east, sd_north, sd_up : (N,) m from GST, NaN where not stated
     speed : (N,) m/s over ground, NaN where absent
     course : (N,) rad counter-clockwise from East (world yaw convention), NaN where absent

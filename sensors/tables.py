@@ -179,7 +179,7 @@ def read_table(
     Parameters
     ----------
     wanted : names that mark the header line
-    kinds : columns to read, each "int" or "float" (a hint; what does not fit is kept as text); None: all, as text
+    kinds : columns to read, "int" or "float" (a hint; what does not fit is kept as text); None: all, as text
 
     Raises RawError : the file is no table.
     """
@@ -215,7 +215,7 @@ def _lenient(body: bytes, header: Header, names: list[str], file: str) -> tuple[
 
 
 def _body(data: bytes, header: Header, file: str) -> tuple[bytes, list[Rejected]]:
-    """What follows the header, and the last line apart when it has no line end: it may be cut off anywhere."""
+    """What follows the header; a last line without line end stands apart: it may be cut off anywhere."""
     start = 0
     for _ in range(header.lines):
         end = data.find(b"\n", start)
@@ -266,7 +266,7 @@ def _parse(
     dropped: list[Rejected] = []
 
     def note(row: csv.InvalidRow) -> str:
-        reason = f"{row.actual_columns} cells instead of {row.expected_columns}"
+        reason = f"with {row.actual_columns} cells instead of {row.expected_columns}"
         dropped.append(Rejected(row.number + header.lines, reason, row.text[:80]))
         return "skip"
 

@@ -1,7 +1,8 @@
 """Raw formats, one file each. A new one: a module with `reads` and `read`, and its line in FORMATS.
 
 `reads(sensor, path, head)` says whether the format is for a sensor's file, whose first bytes are `head`;
-`read(path, sensor, name, date)` returns its samples (`sensors.raw`) or raises RawError. The first that reads wins.
+`read(path, sensor, name, date)` returns its samples (`sensors.raw`) or raises RawError. The first that
+reads wins.
 """
 
 from __future__ import annotations

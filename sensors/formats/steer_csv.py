@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..checks import SECONDS, check_host_scale, kept_rows, not_isolated, times_ns
 from ..manifest import Sensor, Steer
 from ..raw import RawError, RawSteer
 from ..tables import as_utf8, find_header, parse_table, read_bytes
-from .imu_csv import HOST, SECONDS, kept_rows, times_ns
 
-ANGLE = "angle"
+HOST, ANGLE = "t_host_ns", "angle"
+ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180.0}
 ANGLE_LIMIT = np.pi / 2
 
 
@@ -30,12 +31,13 @@ def read(path: Path, sensor: Sensor, name: str, date: dt.date) -> RawSteer:
     header = find_header(data, path.name, [host, angle])
     for column in (host, angle):
         if column not in header.names:
-            raise RawError(f"{path.name}, row 1: no column '{column}'; name it in `columns`")
+            raise RawError(f"{path.name}, row {header.lines}: no column '{column}'; name it in `columns`")
     table = parse_table(data, header, path.name, {host: "int", angle: "float"})
     host_ns, good = times_ns(table, host, SECONDS[sensor.units.host_time])
-    angles = table.floats(angle)
+    check_host_scale(host_ns, table, host, sensor.units.host_time)
+    angles = table.floats(angle) * ANGLE_UNITS[sensor.units.angle]
     checks = [
-        ("without a usable time", good),
+        ("without a usable time", good & not_isolated(host_ns, 1.0e-9)),
         ("with an empty or non-numeric value", np.isfinite(angles)),
         ("with an angle beyond 90 degrees", ~(np.abs(angles) > ANGLE_LIMIT)),
     ]
