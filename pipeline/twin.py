@@ -30,8 +30,9 @@ from .twin_dynamics import dynamic
 from .twin_ground import attitudes
 from .twin_motion import STEP, PlanarMotion, kinematic, planned
 from .twin_path import smooth_wander
-from .twin_plan import PlanError, TwinPlan, as_table
+from .twin_plan import TwinPlan
 from .twin_rigid import YAW, BodyPath, Feel, WheelPath, body_path, wheel_path
+from .twin_tables import PlanError, as_table
 
 Floats = NDArray[np.float64]
 
@@ -101,7 +102,9 @@ def write_raw(twin: Twin, folder: Path, truth: Path | None = None) -> None:
     files = {"run.toml": twin.manifest_text}
     columns = _columns(plan)
     for name, unit in twin.units.items():
-        files[plan.sensors[name]["file"]] = writing.imu_text(unit, columns, plan.faults.cut_last_row)
+        files[plan.sensors[name]["file"]] = writing.imu_text(
+            unit, columns, plan.sensors[name], plan.faults.cut_last_row
+        )
     for name, record in twin.steering.items():
         files[plan.sensors[name]["file"]] = writing.steer_text(record)
     for name, lines in twin.nmea.items():
@@ -186,7 +189,7 @@ def _unit(
     """Rows of one IMD or WDS."""
     rate, kind = float(sensor["rate"]), str(sensor["kind"])
     samples = clocks.sample_times(plan.clocks, rate, world.duration, stream(seed, f"{name} clock"))
-    feel, body = _feel(world, sensor, samples.t)
+    feel, body = _feel(world, sensor, place(plan, name, seed), samples.t)
     true_mount = inertial.mounting(sensor.get("rotation_deg", (0.0, 0.0, 0.0)), errors)
     speed = np.interp(samples.t, world.motion.t, world.speed)
     shaken = inertial.shaken(
@@ -215,13 +218,20 @@ def _unit(
     return clocks.with_empty_cells(plan.faults, clocks.faulty(plan.faults, name, record, rng), rng)
 
 
-def _feel(world: World, sensor: Mapping[str, Any], t: Floats) -> tuple[Feel, str]:
+def place(plan: TwinPlan, name: str, seed: int) -> Floats:
+    """Where a sensor really sits: its stated position or offset, and the plan's doubt of it, (3,) m."""
+    sensor = plan.sensors[name]
+    stated = np.asarray(sensor.get("position", sensor.get("offset", (0.0, 0.0, 0.0))), dtype=float)
+    return stated + plan.errors.lever_arm * stream(seed, f"{name} place").standard_normal(3)
+
+
+def _feel(world: World, sensor: Mapping[str, Any], at: Floats, t: Floats) -> tuple[Feel, str]:
     """What an ideal unit at the sensor's place feels, in the axes of its body or wheel; and the body it
     rides on."""
     if sensor["kind"] == "wds":
         wheel = world.wheels[sensor["wheel"]]
-        return wheel.feel(world.bodies["tractor"], t).at(sensor.get("offset", (0.0, 0.0, 0.0))), "tractor"
-    return world.bodies[sensor["body"]].feel(t).at(sensor["position"]), sensor["body"]
+        return wheel.feel(world.bodies["tractor"], t).at(at), "tractor"
+    return world.bodies[sensor["body"]].feel(t).at(at), sensor["body"]
 
 
 def _steering(
@@ -250,7 +260,8 @@ def _nmea(plan: TwinPlan, world: World, name: str, sensor: Mapping[str, Any], se
     if name in plan.gnss.heading:
         bias, white = plan.gnss.heading_bias_deg * rng.standard_normal(), rng.standard_normal(t.size)
         headings = body.place(t)[:, YAW] + np.radians(bias + plan.gnss.heading_noise_deg * white)
-    lines = gnss.sentences(plan.gnss, plan.place, sensor, body, found, world.host, headings, rng)
+    antenna = place(plan, name, seed)
+    lines = gnss.sentences(plan.gnss, plan.place, antenna, body, found, world.host, headings, rng)
     return gnss.corrupted(lines, plan.faults.bad_checksums, stream(seed, f"{name} faults"))
 
 

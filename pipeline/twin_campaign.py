@@ -3,17 +3,18 @@ one command."""
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from .twin import make_pass, write_raw
-from .twin_plan import PlanError, TwinPlan, changed, preset, read_plan, with_value
+from .twin_plan import TwinPlan, changed, preset, read_plan, with_value
+from .twin_tables import PlanError, read_toml
 
 COMPASS = {"east": 0.0, "north": 90.0, "west": 180.0, "south": 270.0}
-AXES = ("fields", "directions", "variants")
+DEFAULT_LABEL = {"fields": "field1", "directions": "east", "variants": "b"}
+AXES = tuple(DEFAULT_LABEL)
 SPACING = 600.0  # s between the starts of a campaign's passes
 TRUTH = "truth"  # folder beside the passes
 
@@ -60,12 +61,7 @@ def read_campaign(path: Path) -> CampaignPlan:
     directions, variants: a list of labels, or a table of label → changes. A direction named by the
     compass turns the base's heading. Raises PlanError: what, where, how to mend.
     """
-    try:
-        table = tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise PlanError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PlanError(f"{path}: not valid TOML: {error}") from None
+    table = read_toml(path)
     try:
         return campaign_from(table, path.parent)
     except PlanError as error:
@@ -92,7 +88,7 @@ def campaign_from(table: Mapping[str, Any], folder: Path = Path()) -> CampaignPl
 
 def _axis(given: Any, axis: str) -> dict[str, Mapping[str, Any]]:
     if given is None:
-        return {"fields": {"field1": {}}, "directions": {"east": {}}, "variants": {"b": {}}}[axis]
+        return {DEFAULT_LABEL[axis]: {}}
     if isinstance(given, list) and given and all(isinstance(label, str) for label in given):
         return {label: {} for label in given}
     if isinstance(given, Mapping) and given and all(isinstance(c, Mapping) for c in given.values()):

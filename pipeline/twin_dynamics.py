@@ -17,7 +17,8 @@ from ..model.settings import SimulationSettings
 from ..model.simulate import initial_state, simulate
 from .twin_motion import STEP, PlanarMotion, hand, joined
 from .twin_path import PITCH, Path, wander
-from .twin_plan import PlanError, TwinPlan
+from .twin_plan import TwinPlan
+from .twin_tables import PlanError
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +38,7 @@ def dynamic(
         machine = Machine.from_mapping(table, plan.run.tyre_pressure_mpa)
     except MachineError as error:
         raise PlanError(f"machine: {error}") from None
-    t = np.arange(speed.size) * STEP
+    t: Floats = STEP * np.arange(speed.size, dtype=np.float64)
     controls = Controls(
         t=t,
         speed=speed,

@@ -13,9 +13,8 @@ Each axis, 1 sigma; up twice that. Slow errors are why an hour's average is no b
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,17 +126,18 @@ def _arrivals(plan: GnssPlan, rate: float, t: Floats, rng: np.random.Generator) 
 
 
 def sentences(
-    plan: GnssPlan, place: PlacePlan, sensor: Mapping[str, Any], body: BodyPath, found: Fixes,
-    host: HostClock, headings: Floats | None, seed: np.random.Generator,
+    plan: GnssPlan, place: PlacePlan, antenna: Floats, body: BodyPath, found: Fixes,
+    host: HostClock, headings: Floats | None, rng: np.random.Generator,
 ) -> list[str]:  # fmt: skip
-    """Lines of the NMEA file. headings : (N,) rad, ccw from East, as measured; None without a second
-    antenna."""
-    position = body.point(found.t, sensor["position"]) + found.error
-    velocity = body.point_velocity(found.t, sensor["position"]) + found.velocity_error
-    lat, lon, alt = to_geodetic(*position.T, place)
+    """Lines of the NMEA file. antenna : (3,) m in the body; headings : (N,) rad, ccw from East, as
+    measured; None without a second antenna."""
+    position = body.point(found.t, antenna) + found.error
+    velocity = body.point_velocity(found.t, antenna) + found.velocity_error
+    east, north, up = position.T
+    lat, lon, alt = to_geodetic(east, north, up, place)
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     course = np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1])) % 360.0
-    satellites = seed.integers(12, 19, found.t.size)
+    satellites = rng.integers(12, 19, found.t.size)
     lines: list[str] = []
     for k in range(found.t.size):
         when = utc(host.start_ns, found.t[k])
@@ -149,7 +149,8 @@ def sentences(
             bodies.append("GNGSA,A,3,01,02,03,04,05,06,07,08,,,,,1.2,0.7,1.0")
         first = found.arrival[k]
         times = host.reading(first + SENTENCE_GAP * np.arange(len(bodies)))
-        lines += [f"{ns} {checked(text)}" for ns, text in zip(times, bodies, strict=True)]
+        prefix = [f"{ns} " if plan.host_time else "" for ns in times]
+        lines += [before + checked(text) for before, text in zip(prefix, bodies, strict=True)]
     return lines
 
 

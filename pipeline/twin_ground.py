@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.signal import cont2discrete, lfilter, lfilter_zi
+from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from .twin_motion import STEP, PlanarMotion
 from .twin_path import wander
@@ -135,8 +135,6 @@ def _body_acceleration(x: Floats, y: Floats, yaw: Floats) -> tuple[Floats, Float
 def followed(ground: Floats, frequency: float) -> Floats:
     """A body on its tyres over moving ground: q̈ + 2ζω(q̇ − u̇) + ω²(q − u) = 0, from rest on u[0]."""
     w = 2.0 * math.pi * frequency
-    continuous = ([2.0 * DAMPING * w, w * w], [1.0, 2.0 * DAMPING * w, w * w])
-    b, a, _ = cont2discrete(continuous, STEP, method="bilinear")
-    start = lfilter_zi(b[0], a) * ground[0]
-    out, _ = lfilter(b[0], a, ground, zi=start)
+    b, a = bilinear([2.0 * DAMPING * w, w * w], [1.0, 2.0 * DAMPING * w, w * w], 1.0 / STEP)
+    out, _ = lfilter(b, a, ground, zi=lfilter_zi(b, a) * ground[0])
     return np.asarray(out)

@@ -107,8 +107,9 @@ def _slips(plan: TwinPlan, machine: Mapping[str, Any], n: int, rng: np.random.Ge
 def hand(driver: DriverPlan, speed: Floats, rng: np.random.Generator) -> Floats:
     """What the driver adds to the steering that the path asks for, rad: his hand, and the weave; none at
     rest."""
-    t = np.arange(speed.size) * STEP
-    weave = math.radians(driver.weave_deg) * np.sin(2.0 * math.pi * t / driver.weave_period)
+    last = driver.weave_period if driver.weave_period_end is None else driver.weave_period_end
+    frequency = np.linspace(1.0 / driver.weave_period, 1.0 / last, speed.size)
+    weave = math.radians(driver.weave_deg) * np.sin(2.0 * math.pi * STEP * np.cumsum(frequency))
     noise = math.radians(driver.noise_deg) * smooth_wander(speed.size, STEP, driver.noise_time, rng)
     return np.asarray((noise + weave) * np.tanh(speed / CREEP))
 

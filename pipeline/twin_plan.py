@@ -6,24 +6,17 @@ says `preset = "..."`, and changes only what it names. All values are SI unless 
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-import tomllib
 import types
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from datetime import date
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal
 
 from .twin_machine import MACHINE, SENSORS
+from .twin_tables import PlanError, near, read_toml, with_table
 
 Spans = tuple[tuple[float, float], ...]
 Jumps = tuple[tuple[float, float, float], ...]
-
-
-class PlanError(ValueError):
-    """A plan that cannot be used; one line: what, where, how to mend."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +70,8 @@ class DriverPlan:
 
     Preview steering delta = L·2·sin(bearing of the point `preview` s ahead)/distance, seen `delay` s late,
     through a steering actuator of time constant `lag`; `noise_deg` (1 sigma) with correlation time
-    `noise_time` is his hand; weave is a sine of steering angle over time.
+    `noise_time` is his hand; weave is a sine of steering angle over time, whose period goes from
+    weave_period to weave_period_end over the pass where that is given (a sweep).
     """
 
     preview: float = 2.2
@@ -87,6 +81,7 @@ class DriverPlan:
     noise_time: float = 0.8
     weave_deg: float = 0.0
     weave_period: float = 5.0
+    weave_period_end: float | None = None
     limit_deg: float = 38.0
     speed_sd: float = 0.03
     speed_time: float = 4.0
@@ -124,8 +119,9 @@ class GnssPlan:
     size m).
 
     kind: quality where no span says otherwise. latency: least delay from validity to arrival; None draws
-    it from 20 to 150 ms. latency_jitter: mean of the exponential rest. heading_noise_deg: of HDT, when
-    `heading`.
+    it from 20 to 150 ms. latency_jitter: mean of the exponential rest. heading_noise_deg: of HDT,
+    which the receivers in `heading` have. gst, rmc, host_time: whether the log has GST, has RMC and VTG, and
+    has the logger's time before each sentence.
     """
 
     kind: Literal["rtk_fixed", "rtk_float", "dgps", "single"] = "rtk_fixed"
@@ -140,6 +136,7 @@ class GnssPlan:
     heading_bias_deg: float = 0.1
     gst: bool = True
     rmc: bool = True
+    host_time: bool = True
 
 
 @dataclass(frozen=True)
@@ -148,8 +145,9 @@ class ErrorPlan:
 
     misalignment_deg: of a unit against its stated mounting, about each axis. bias_scale, noise_scale:
     multiply the data-sheet figures of `twin_inertial`. wheel_radius: relative doubt of each wheel's
-    radius. sway: scale of roll and pitch over rough ground. roll_centre_*: height above ground of the
-    axis a body rolls about; None: through its CoM. steer_*: the steering sensor's zero and noise.
+    radius. lever_arm: doubt of each coordinate of a unit's stated place, m. roll_centre_*: height above
+    ground of the axis a body rolls about; None: through its CoM. steer_*: the steering sensor's zero and
+    noise.
     """
 
     misalignment_deg: float = 0.2
@@ -249,13 +247,13 @@ PRESETS: Mapping[str, TwinPlan] = types.MappingProxyType(
 def preset(name: str) -> TwinPlan:
     """The named plan. Raises PlanError with the nearest name."""
     if name not in PRESETS:
-        raise PlanError(f"no preset {name!r}{_near(name, PRESETS)}; there are {', '.join(sorted(PRESETS))}")
+        raise PlanError(f"no preset {name!r}{near(name, PRESETS)}; there are {', '.join(sorted(PRESETS))}")
     return PRESETS[name]
 
 
 def read_plan(path: Path) -> TwinPlan:
     """The plan of a TOML file. Raises PlanError: what, where, how to mend."""
-    return plan_from(_toml(path), str(path))
+    return plan_from(read_toml(path), str(path))
 
 
 def plan_from(table: Mapping[str, Any], where: str = "plan") -> TwinPlan:
@@ -278,100 +276,5 @@ def with_value(plan: TwinPlan, key: str, value: Any) -> TwinPlan:
 
 def changed(plan: TwinPlan, table: Mapping[str, Any]) -> TwinPlan:
     """The plan with what a nested table names. Raises PlanError for an unknown key or a wrong type."""
-    new: TwinPlan = _changed(plan, table, ())
+    new: TwinPlan = with_table(plan, table)
     return new
-
-
-def _toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise PlanError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PlanError(f"{path}: not valid TOML: {error}") from None
-
-
-def _changed(value: Any, table: Mapping[str, Any], where: tuple[str, ...]) -> Any:
-    """A dataclass with the keys of `table` replaced, recursively; free tables are merged."""
-    hints = get_type_hints(type(value))
-    new = {}
-    for key, given in table.items():
-        if key not in hints:
-            raise PlanError(f"{'.'.join((*where, key))}: unknown key{_near(key, hints)}")
-        new[key] = _converted(getattr(value, key), given, hints[key], (*where, key))
-    return replace(value, **new)
-
-
-def _converted(old: Any, given: Any, kind: Any, where: tuple[str, ...]) -> Any:
-    if is_dataclass(old) or isinstance(old, Mapping):
-        if not isinstance(given, Mapping):
-            raise PlanError(f"{'.'.join(where)}: must be a table")
-        return _changed(old, given, where) if is_dataclass(old) else _merged(old, given)
-    if not _fits(given, kind):
-        raise PlanError(f"{'.'.join(where)}: {given!r} is not {_spoken(kind)}")
-    return _frozen(given, kind)
-
-
-def _fits(given: Any, kind: Any) -> bool:
-    origin, arguments = get_origin(kind), get_args(kind)
-    if origin is Literal:
-        return given in arguments
-    if origin in (types.UnionType, Union):
-        return any(_fits(given, one) for one in arguments)
-    if origin is tuple:
-        return _fits_tuple(given, arguments)
-    if kind is float:
-        return isinstance(given, int | float) and not isinstance(given, bool) and given == given
-    if kind is int:
-        return isinstance(given, int) and not isinstance(given, bool)
-    return isinstance(given, kind) or (kind is str and isinstance(given, date))
-
-
-def _fits_tuple(given: Any, arguments: tuple[Any, ...]) -> bool:
-    if not isinstance(given, list | tuple):
-        return False
-    if len(arguments) == 2 and arguments[1] is Ellipsis:
-        return all(_fits(item, arguments[0]) for item in given)
-    return len(given) == len(arguments) and all(_fits(g, a) for g, a in zip(given, arguments, strict=True))
-
-
-def _frozen(given: Any, kind: Any) -> Any:
-    if isinstance(given, list | tuple):
-        return tuple(_frozen(item, None) for item in given)
-    if isinstance(given, date):
-        return given.isoformat()
-    return float(given) if kind is float else given
-
-
-def _merged(old: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """`old` with the keys of `given`, tables within tables merged; false removes a table."""
-    out = dict(old)
-    for key, value in given.items():
-        if value is False and isinstance(old.get(key), Mapping):
-            del out[key]
-        elif isinstance(value, Mapping) and isinstance(old.get(key), Mapping):
-            out[key] = _merged(old[key], value)
-        else:
-            out[key] = value
-    return out
-
-
-def _spoken(kind: Any) -> str:
-    if get_origin(kind) is Literal:
-        return "one of " + ", ".join(map(repr, get_args(kind)))
-    return "of type " + (kind.__name__ if isinstance(kind, type) else str(kind))
-
-
-def _near(key: str, known: Any) -> str:
-    near = difflib.get_close_matches(key, list(known), n=1, cutoff=0.5)
-    return f"; did you mean `{near[0]}`?" if near else ""
-
-
-def as_table(plan: Any) -> dict[str, Any]:
-    """A plan as plain TOML values, None left out (for the record beside the truth)."""
-    out: dict[str, Any] = {}
-    for item in fields(plan):
-        value = getattr(plan, item.name)
-        if value is not None:
-            out[item.name] = as_table(value) if dataclasses.is_dataclass(value) else value
-    return out

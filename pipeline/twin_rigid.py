@@ -65,7 +65,7 @@ class Feel:
 
 
 def _into(turn: Floats, vectors: Floats) -> Floats:
-    return np.einsum("nji,nj->ni", turn, vectors)
+    return np.asarray(np.einsum("nji,nj->ni", turn, vectors))
 
 
 def elementary(axis: int, angle: Floats | float) -> Floats:
@@ -106,11 +106,11 @@ class BodyPath:
         q = self.place(t)
         return elementary(Z, q[:, YAW]) @ elementary(Y, q[:, PITCH]) @ elementary(X, q[:, ROLL])
 
-    def point(self, t: Floats, arm: Sequence[float]) -> Floats:
+    def point(self, t: Floats, arm: Sequence[float] | Floats) -> Floats:
         """World position of a point fixed in the body, (N, 3) m."""
         return np.asarray(self.place(t)[:, :3] + self.axes(t) @ np.asarray(arm, dtype=float))
 
-    def point_velocity(self, t: Floats, arm: Sequence[float]) -> Floats:
+    def point_velocity(self, t: Floats, arm: Sequence[float] | Floats) -> Floats:
         """World velocity of a point fixed in the body, (N, 3) m/s: v + R·(ω×r)."""
         rate, _ = self._turning(t)
         swept = np.cross(rate, np.asarray(arm, dtype=float))

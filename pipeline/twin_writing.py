@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import datetime as dt
 import json
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,12 @@ from .twin_clocks import ImuRecord, SteerRecord
 Floats = NDArray[np.float64]
 
 IMU_COLUMNS = ("t_host_ns", "t_dev_us", "seq", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
-IMU_FORMATS = ("%.4f",) * 3 + ("%.6f",) * 3 + ("%.4e",) * 3
+IMU_FORMATS = (("accel", "%.4f"),) * 3 + (("gyro", "%.6f"),) * 3 + (("mag", "%.4e"),) * 3
+DEFAULT_UNITS = {"accel": "m/s2", "gyro": "rad/s", "mag": "T"}
+FACTORS = {
+    "m/s2": 1.0, "g": 9.80665, "rad/s": 1.0, "deg/s": math.pi / 180.0, "T": 1.0, "uT": 1e-6, "gauss": 1e-4,
+}  # fmt: skip
+NANOSECONDS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}
 TRUTH_COLUMNS = ("t", "x1", "y1", "yaw1", "v1", "x2", "y2", "yaw2", "steer")
 TRUTH_FORMATS = ("%.3f", "%.5f", "%.5f", "%.7f", "%.5f", "%.5f", "%.5f", "%.7f", "%.7f")
 NOTE = (
@@ -26,21 +32,37 @@ NOTE = (
 )
 
 
-def imu_text(record: ImuRecord, columns: Iterable[str], cut_last_row: bool) -> str:
-    """An IMD's or WDS's CSV; `columns` is those of IMU_COLUMNS that the logger writes."""
-    wanted = tuple(columns)
-    cells = [record.t_host_ns.tolist(), record.t_dev_us.tolist(), record.seq.tolist()]
-    text = [[str(v) for v in column] for column in cells]
-    for k in range(record.values.shape[1]):
-        shown = [IMU_FORMATS[k] % v for v in record.values[:, k].tolist()]
-        for row in np.flatnonzero(record.empty[:, k]):
-            shown[int(row)] = ""
-        text.append(shown)
-    by_name = dict(zip(IMU_COLUMNS, text, strict=False))
-    lines = [",".join(wanted), *(",".join(row) for row in zip(*(by_name[c] for c in wanted), strict=True))]
+def imu_text(record: ImuRecord, columns: Iterable[str], sensor: Mapping[str, Any], cut_last_row: bool) -> str:
+    """An IMD's or WDS's CSV; `columns` is those of IMU_COLUMNS that the logger writes, `sensor` its
+    table of run.toml, whose `units` and `columns` (renamed) are the file's."""
+    names, wanted = sensor.get("columns", {}), tuple(columns)
+    text = dict(zip(IMU_COLUMNS, _imu_cells(record, sensor.get("units", {})), strict=False))
+    head = ",".join(names.get(column, column) for column in wanted)
+    lines = [head, *(",".join(row) for row in zip(*(text[c] for c in wanted), strict=True))]
     if cut_last_row:
         return "\n".join(lines)[: -len(lines[-1]) // 2]
     return "\n".join(lines) + "\n"
+
+
+def _imu_cells(record: ImuRecord, units: Mapping[str, str]) -> Iterator[list[str]]:
+    """Text of each column in the order of IMU_COLUMNS, in the file's units."""
+    yield _times(record.t_host_ns, NANOSECONDS[units.get("host_time", "ns")])
+    yield _times(record.t_dev_us * 1000, NANOSECONDS[units.get("device_time", "us")])
+    yield [str(v) for v in record.seq.tolist()]
+    for k, (kind, digits) in enumerate(IMU_FORMATS[: record.values.shape[1]]):
+        factor = FACTORS[units.get(kind, DEFAULT_UNITS[kind])]
+        shown = [digits % v for v in (record.values[:, k] / factor).tolist()]
+        for row in np.flatnonzero(record.empty[:, k]):
+            shown[int(row)] = ""
+        yield shown
+
+
+def _times(ns: NDArray[np.int64], unit: int) -> list[str]:
+    """Whole numbers in ns or µs; milliseconds and seconds with decimals down to the nanosecond."""
+    if unit <= 1000:
+        return [str(v) for v in (ns // unit).tolist()]
+    digits = len(str(unit)) - 1
+    return [f"{v // unit}.{v % unit:0{digits}d}" for v in ns.tolist()]
 
 
 def steer_text(record: SteerRecord) -> str:
