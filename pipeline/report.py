@@ -13,7 +13,8 @@ from .report_blocks import Equation, Section, Table, charts_of, tables_of
 from .report_head import Head
 from .report_pass import head_of
 from .report_view import PassView
-from .result import HTML, PDF, read_result
+from .result import HTML, LOG, PDF, read_result
+from .result_mcap import write_result_log
 from .sections import SECTIONS
 
 
@@ -23,8 +24,10 @@ def sections_of(view: PassView) -> tuple[Section, ...]:
 
 
 def finish(folder: Path) -> None:
-    """Make the reports of the result that lies in `folder`, from what is stored there and nothing else."""
-    write_report(read_result(folder), folder)
+    """Make the log and the reports of the result in `folder`, from what is stored there and nothing else."""
+    view = read_result(folder)
+    write_result_log(folder / LOG, view)
+    write_report(view, folder)
 
 
 def write_report(view: PassView, folder: Path) -> None:

@@ -52,7 +52,7 @@ class PassResult:
     rows : the rows found, each with its line and sample slice
     simulated : columns of simulation.parquet on motion.t (`x1 y1 yaw1 v1 yaw_rate1 ... steer window`), NaN
         outside rows; s and n are made here, from the rows' lines
-    comparison : columns of comparison.parquet, the rows' common distance grid; empty without a row
+    comparison : columns of comparison.parquet (`findings.comparison_columns`); empty without a compared row
     plots : further curves for the report, by plot and series
     metrics : metrics.json, which begins as the format page says
     """

@@ -173,10 +173,44 @@ def simulated(fused: Motion, error: float = 1.1) -> dict[str, Floats]:
     return {name: np.where(inside, values, np.nan) for name, values in columns.items()}
 
 
-def metrics(run: str = "sample-1") -> dict[str, Any]:
-    return {
+RESPONSES = {"deviation1": 7.07, "yaw1": 6.9, "deviation2": 7.1, "yaw2": 6.8}  # % of R95
+GRID = 0.2  # m
+
+
+def comparison(fused: Motion, model: dict[str, Floats]) -> dict[str, Floats]:
+    """Columns as `findings.comparison_columns` leaves them, from the same closed form."""
+    line = rows(fused.t.size)[0].line
+    bodies = [b for b in "12" if f"x{b}" in model]
+    s = np.arange(20.0, 110.0, GRID)
+    found: dict[str, Floats] = {"row": np.zeros(s.size), "s": s}
+    for b, moving in zip(bodies, fused.bodies, strict=True):
+        own, n = line.project(moving.x, moving.y)
+        inside = np.isfinite(model[f"x{b}"])
+        _, n_model = line.project(model[f"x{b}"], model[f"y{b}"])
+        pairs = {"n": (n, n_model), "yaw": (moving.yaw - HEADING, model[f"yaw{b}"] - HEADING)}
+        found |= {f"t{b}": np.interp(s, own, fused.t), f"valid{b}": np.ones(s.size)}
+        for quantity, (measured, simulated) in pairs.items():
+            at = np.interp(s, own, measured)
+            found |= {
+                f"window{b}": np.floor(s / 25.0), f"{quantity}{b}": at,
+                f"{quantity}{b}_simulated": np.interp(s, own[inside], simulated[inside]),
+                f"{quantity}{b}_start": 1.2 * np.interp(s, own[inside], simulated[inside]),
+                f"{quantity}{b}_null": np.zeros(s.size), f"sd_{quantity}{b}": np.full(s.size, 0.004),
+                f"sd_input_{quantity}{b}": np.full(s.size, 0.003),
+            }  # fmt: skip
+    return found
+
+
+def metrics(run: str = "sample-1", seeder: bool = True) -> dict[str, Any]:
+    names = [n for n in RESPONSES if seeder or n.endswith("1")]
+    channel = {
+        "channel": "gps position", "count": 600, "rejected": 2, "dof": 2, "mean_nis": 1.97, "nis_low": 1.8,
+        "nis_high": 2.2, "lag1_autocorrelation": 0.03, "consistent": True,
+    }  # fmt: skip
+    found: dict[str, Any] = {
         "schema": 1, "run": run,
-        "verdict": {"value": "inconclusive", "scope": "pass", "reasons": ["one direction only"]},
+        "verdict": {"value": "inconclusive", "scope": "pass", "reasons": ["one direction only"],
+                    "codes": ["directions"], "threshold_percent": 15.0, "alpha": 0.05, "passes": 1, "passes_needed": None},
         "discrepancy": {
             "trajectory": {"body1": 7.07, "body2": 7.1, "combined": 7.08, "interval": [4.0, 9.5]},
             "yaw": {"body1": 6.9, "body2": None, "combined": None, "interval": None},
@@ -184,14 +218,57 @@ def metrics(run: str = "sample-1") -> dict[str, Any]:
         "warnings": [
             {"sensor": "imd1", "file": "imd1.csv", "row": 12, "what": "time falls back", "effect": "dropped"}
         ],
-        "health": {},
+        "health": {"imd1": {"rate": 99.98, "gaps": 3}, "gps": {"rate": 10.0, "gaps": 0}},
     }  # fmt: skip
+    found["comparison"] = {
+        "mode": "replay", "horizon": 25.0, "grid_step": GRID, "draws": 200, "excluded": [], "passed_over": [],
+        "rows": [
+            {"row": 0, "direction": "east", "line": "fitted", "length": 125.0, "coverage": 1.0, "windows": 5}
+        ],
+    }  # fmt: skip
+    found["responses"] = {
+        n: {"unit": "m", "percent": RESPONSES[n], "percent_null": 40.0, "interval": [4.0, 9.5], "rmse": 0.004,
+            "rmse_null": 0.04, "r95": 0.12, "u": 0.003, "u_range": 0.003, "u_input": 0.002, "n_eff": 9.0,
+            "n_eff_range": 12.0}
+        for n in names
+    }  # fmt: skip
+    table = {n: RESPONSES[n] for n in names}
+    found["disclosure"] = {
+        key: {n: 2.0 * d for n, d in table.items()} for key in ("none", "start", "free", "null")
+    }
+    found["disclosure"]["bounded"] = table
+    found["horizon_curve"] = [
+        {"horizon": h, **{n: d * (h or 100.0) / 25.0 for n, d in table.items()}}
+        for h in (10.0, 25.0, 50.0, None)
+    ]
+    scores = {"rmse": {"rmse": 0.004}, "nse": {"nse": 0.98}}
+    found["companions"] = dict.fromkeys(names, scores)
+    found["companions_null"] = dict.fromkeys(names, scores)
+    found["attribution"] = {
+        n: {"u_measuring": 0.004, "u_steering": 0.002, "u_start": 0.001, "u_parameters": 0.0, "u_val": 0.005,
+            "share_within_2_u_val": 0.9, "rmse_known_uncertainty_q95": 0.006, "explained": True}
+        for n in names
+    }  # fmt: skip
+    windows = [
+        {"row": 0, "window": i, "offset": 0.001 * i, "heading_deg": 0.02, "steer_deg": -0.03, "chi2": 1.0 + i,
+         "prior_weight": 1.0}
+        for i in range(5)
+    ]  # fmt: skip
+    found["alignment"] = {"windows_within_bound": 1.0, "windows": windows}
+    found["straightness"] = {n: {"max_abs": 0.07, "range": 0.13, "r95": 0.12, "rms": 0.04} for n in names}
+    found["steering"] = {"source": "wheels", "testable": True, "sd_deg": 0.1, "correlation_time": 5.0,
+                         "zero_sd_deg": 0.3, "scale_sd": 0.01}  # fmt: skip
+    found["spectra"] = {}
+    found["consistency"] = {"consistent": True, "channels": [channel]}
+    found["provenance"] = {"version": "0.1.0", "log_sha256": "ab" * 32, "options": {"engine": "compiled"}}
+    return found
 
 
 def pass_result(seeder: bool = True, seconds: float = 60.0) -> PassResult:
     text = toml(seeder)
     fused = motion(seconds, seeder)
+    model = simulated(fused)
     return PassResult(
         manifest=manifests.parse(text), manifest_text=text, motion=fused, rows=rows(fused.t.size),
-        simulated=simulated(fused), metrics=metrics(),
+        simulated=model, metrics=metrics(seeder=seeder), comparison=comparison(fused, model),
     )  # fmt: skip
