@@ -50,7 +50,8 @@ class Judged:
 
     d, d_null : of the model and of the straight line; lo, hi : bounds for display (one-sided α each);
     lo_decides : the lower bound at α over the number of responses, which alone can make a model not adequate;
-    hi_certain : hi if no pass-to-pass spread remained; rmse : absolute, m or rad; None where R95 is too small for a
+    hi_certain : hi if no pass-to-pass spread remained; rmse : absolute, m or rad; None where R95 is too
+    small for a
     percentage.
     """
 
@@ -85,7 +86,8 @@ class Verdict:
 
 
 def judged(summary: Summary, response: str, rules: Rules, responses: int, spread_known: bool) -> Judged:
-    """One response with its bounds; with a single pass no spread is known and the bounds hold u and u_in alone."""
+    """One response with its bounds; with a single pass no spread is known and the bounds hold u and u_in
+    alone."""
     rmse = float(np.exp(summary.mean_log))
     width = half_width(summary, 1.0 - rules.alpha) if spread_known else 0.0
     decides = half_width(summary, 1.0 - rules.alpha / responses) if spread_known else 0.0
@@ -179,8 +181,8 @@ def _condemned(
 def _praised(found: Mapping[str, Judged], rules: Rules, scope: str) -> tuple[str, ...]:
     worst = max(found, key=lambda n: found[n].hi or 0.0)
     text = (
-        f"every response stays under the threshold of {rules.threshold_percent:g} %: the largest upper bound is "
-        f"{_percent(found[worst].hi)} ({WORDS[worst]})"
+        f"every response stays under the threshold of {rules.threshold_percent:g} %: the largest upper "
+        f"bound is {_percent(found[worst].hi)} ({WORDS[worst]})"
     )
     return (text, *_of_this_pass(scope))
 
@@ -210,8 +212,8 @@ def _doubts(
     if near:
         ratio = max((found[n].d or 0.0) / max(found[n].d_null or 0.0, 1e-12) for n in near)
         doubts["null"] = (
-            f"near the null: {', '.join(WORDS[n] for n in near)} reads up to {ratio:.2f} of what a straight line reads, "
-            f"under {rules.of_null:g} is needed"
+            f"near the null: {', '.join(WORDS[n] for n in near)} reads up to {ratio:.2f} of what a straight "
+            f"line reads, under {rules.of_null:g} is needed"
         )
     if scope == "campaign":
         doubts |= _doubts_of_single_passes(passes, found, rules)
@@ -229,7 +231,8 @@ def _doubts_of_design(passes: tuple[PassStatistics, ...], rules: Rules) -> dict[
 
 
 def _doubts_of_bounds(found: Mapping[str, Judged], rules: Rules) -> dict[str, str]:
-    """Why an upper bound is over the threshold: no percentage, known inputs, measuring noise, spread, or the model."""
+    """Why an upper bound is over the threshold: no percentage, known inputs, measuring noise, spread, or
+    the model."""
     doubts: dict[str, list[str]] = {}
     for name, one in found.items():
         if one.hi is None or one.d is None:

@@ -19,7 +19,8 @@ HEAVIEST = 1e12  # weight of the prior at which nothing moves any more
 class Alignment:
     """What moved in one window, and what that does to the residual.
 
-    theta : (P,) lateral offset m, heading rad, steering offset rad (the last is absent without a tractor model)
+    theta : (P,) lateral offset m, heading rad, steering offset rad (the last is absent without a tractor
+    model)
     chi2_free : θᵀP₀⁻¹θ with the prior as stated; chi2 : after its weight was raised to keep the bound
     weight : the prior's weight, 1 or more (0 for a free alignment)
     gain : (P, N) θ = −gain·r, with the final weight
@@ -38,7 +39,8 @@ def bound(parameters: int) -> float:
 
 
 def align(residual: Floats, sensitivity: Floats, weights: Floats, prior: Floats) -> Alignment:
-    """θ that minimises Σ (r + Jθ)ᵀS⁻¹(r + Jθ) + λ·θᵀP₀⁻¹θ, with the least λ ≥ 1 that keeps θᵀP₀⁻¹θ in its bound.
+    """θ that minimises Σ (r + Jθ)ᵀS⁻¹(r + Jθ) + λ·θᵀP₀⁻¹θ, with the least λ ≥ 1 that keeps θᵀP₀⁻¹θ in
+    its bound.
 
     Parameters
     ----------
@@ -47,7 +49,8 @@ def align(residual: Floats, sensitivity: Floats, weights: Floats, prior: Floats)
     weights : (N,) 1/S, zero where a point is masked
     prior : (P, P) covariance P₀, positive definite
 
-    In the basis where P₀ is the unit matrix and JᵀS⁻¹J is diagonal (h), θ = −b/(h + λ), so χ²(λ) = Σ b²/(h + λ)²
+    In the basis where P₀ is the unit matrix and JᵀS⁻¹J is diagonal (h), θ = −b/(h + λ), so χ²(λ) = Σ
+    b²/(h + λ)²
     falls with λ and the bound has one root.
     """
     root = np.linalg.cholesky(prior)
@@ -76,5 +79,6 @@ def align_freely(residual: Floats, sensitivity: Floats, weights: Floats) -> Alig
 
 
 def remaining(alignment: Alignment, sensitivity: Floats, change: Floats) -> Floats:
-    """What is left of a change (N, K) of the residual once the alignment has answered it: (I − J·gain)·change."""
+    """What is left of a change (N, K) of the residual once the alignment has answered it: (I −
+    J·gain)·change."""
     return np.asarray(change - sensitivity @ (alignment.gain @ change))

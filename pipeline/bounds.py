@@ -58,7 +58,8 @@ class PassStatistics:
     """All that the verdict needs of one pass.
 
     windows_within : share of windows whose alignment χ², before its prior was raised, is within the bound
-    consistent : whether the filter's own tests hold; tractor_testable : whether an independent steering series exists
+    consistent : whether the filter's own tests hold; tractor_testable : whether an independent steering
+    series exists
     """
 
     run: str
@@ -96,7 +97,8 @@ class Summary:
 
 
 def cell_r95(passes: Sequence[PassStatistics], response: str) -> dict[tuple[str, str], float]:
-    """R95 of each cell: quantiles of the passes' centred deviations pooled (a pass without samples gives its own)."""
+    """R95 of each cell: quantiles of the passes' centred deviations pooled (a pass without samples gives
+    its own)."""
     found = {}
     for cell in dict.fromkeys(p.cell for p in passes):
         members = [p.responses[response] for p in passes if p.cell == cell]
@@ -112,7 +114,8 @@ def cell_r95(passes: Sequence[PassStatistics], response: str) -> dict[tuple[str,
 def pooled_spread(values: Floats, cells: Sequence[tuple[str, str]]) -> tuple[float, int]:
     """Variance of the values pooled inside cells, and its degrees of freedom Σ(n_cell − 1).
 
-    Without a repeated cell the spread over all passes is taken: it holds the cells' differences too, and so is no
+    Without a repeated cell the spread over all passes is taken: it holds the cells' differences too, and
+    so is no
     smaller on average.
     """
     values = np.asarray(values, dtype=np.float64)
@@ -161,7 +164,8 @@ def half_width(summary: Summary, level: float, count: int | None = None, dof: in
 
 
 def upper(summary: Summary, width: float) -> float:
-    """D_hi = √([M_hi − min(g_lo·u², M_hi/2)] / max(R95² − 3.92²·g_hi·u_R², R95²/4)); never subtracts u_in²."""
+    """D_hi = √([M_hi − min(g_lo·u², M_hi/2)] / max(R95² − 3.92²·g_hi·u_R², R95²/4)); never subtracts
+    u_in²."""
     low, high = GUARDS[summary.consistent]
     mse = float(np.exp(min(2.0 * (summary.mean_log + width), 700.0)))
     range2 = summary.r95**2

@@ -32,8 +32,10 @@ LAG_SHARE = 0.25  # of the record: longer lags of an autocorrelation hold too fe
 class RowComparison:
     """One row compared: its grid, its headline windows, and by response arrays on the body's grid.
 
-    simulated, residual : bounded alignment; unaligned : nothing moved, the row in one piece; start, free, null : as
-    in `WindowFit`; u2, u2_input : variances that measuring error and inputs leave in the residual; window : index
+    simulated, residual : bounded alignment; unaligned : nothing moved, the row in one piece; start,
+    free, null : as
+    in `WindowFit`; u2, u2_input : variances that measuring error and inputs leave in the residual;
+    window : index
     explained : (D,) by response, mean square of draws of measuring error and inputs together
     """
 
@@ -73,9 +75,11 @@ class ExcludedRow:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A pass compared: its rows, what was left out and why, and the statistics of the pass (None without a row).
+    """A pass compared: its rows, what was left out and why, and the statistics of the pass (None without
+    a row).
 
-    trailed : there was no independent steering series, so the measured tractor was imposed and only the seeder judged
+    trailed : there was no independent steering series, so the measured tractor was imposed and only the
+    seeder judged
     """
 
     rows: tuple[RowComparison, ...]
@@ -100,7 +104,8 @@ def compare(
 ) -> Comparison:
     """The model replayed over every row of a pass and compared with the smoothed motion.
 
-    Rows with under 95 % coverage are excluded with their reason. Without an independent steering series only the
+    Rows with under 95 % coverage are excluded with their reason. Without an independent steering series
+    only the
     seeder is compared; without a seeder too, nothing is.
     """
     found = survey(motion, manifest)
@@ -152,7 +157,7 @@ def compare_row(context: Context, parameters: Mapping[str, float]) -> RowCompari
     return RowComparison(
         context=context,
         fits=fits,
-        valid={name: mask > 0.5 for name, mask in _joined(fits, [f.valid * 1.0 for f in fits]).items()},
+        valid={n: mask > 0.5 for n, mask in _joined(fits, [f.valid.astype(np.float64) for f in fits]).items()},
         measured=dict(channel for body in context.grid.bodies for channel in body.channels),
         residual=_joined(fits, [f.bounded for f in fits]),
         unaligned=_joined(whole, [f.start for f in whole]),
@@ -179,7 +184,8 @@ def _joined(fits: Sequence[WindowFit], stacked: Sequence[Floats]) -> dict[str, F
 def _variances(
     context: Context, fits: Sequence[WindowFit], parameters: Mapping[str, float]
 ) -> tuple[dict[str, Floats], dict[str, dict[str, Floats]], dict[str, Floats]]:
-    """Variances along the row of what measuring error and inputs leave after alignment, and draws of their M."""
+    """Variances along the row of what measuring error and inputs leave after alignment, and draws of
+    their M."""
     inputs = input_changes(context, fits, parameters, context.settings.seed + context.grid.row.index)
     measuring = [remaining(f.alignment, f.sensitivity, measuring_changes(context, f)) for f in fits]
     known = [

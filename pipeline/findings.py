@@ -38,7 +38,8 @@ def metrics_of(
     spectra: Mapping[str, Any] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """The body of metrics.json: percentages as numbers, lengths in m, angles in rad unless the key says `_deg`.
+    """The body of metrics.json: percentages as numbers, lengths in m, angles in rad unless the key says
+    `_deg`.
 
     Values that are not finite are left for the writer to turn into null.
     """
@@ -177,7 +178,8 @@ def disclosure_table(comparison: Comparison) -> dict[str, Any]:
     """Discrepancy in percent by how much may move: nothing and in one piece, start only, bounded, free.
 
     `none`: the whole row in one run from its start; `start`: windows from the smoothed state; `bounded`: the
-    headline; `free`: offset and heading of each window fitted without a prior; `null`: the straight line, bounded.
+    headline; `free`: offset and heading of each window fitted without a prior; `null`: the straight
+    line, bounded.
     """
     names = {"none": "unaligned", "start": "start", "bounded": "residual", "free": "free", "null": "null"}
     return {
@@ -226,7 +228,8 @@ def _mean_tables(tables: Sequence[Mapping[str, Mapping[str, float]]], weights: F
 
 
 def attribution(comparison: Comparison, name: str) -> dict[str, Any]:
-    """Whether known uncertainty explains the residual, after ASME V&V 20: u_val² = u² + u_in², point by point.
+    """Whether known uncertainty explains the residual, after ASME V&V 20: u_val² = u² + u_in², point by
+    point.
 
     `explained`: M lies within the 95 % quantile of what draws of measuring error and inputs alone produce.
     """
@@ -351,7 +354,8 @@ def _move_rigidly(columns: dict[str, Floats], part: slice, theta: Floats, row: R
 def comparison_columns(comparison: Comparison) -> dict[str, NDArray[Any]]:
     """Columns of comparison.parquet: one line a row and chainage, body b's quantities beside each other.
 
-    row, s (m along the row's line), then for each body b: window{b}, valid{b}, t{b} (s, UTC), and for q in n (m),
+    row, s (m along the row's line), then for each body b: window{b}, valid{b}, t{b} (s, UTC), and for q
+    in n (m),
     yaw (rad, relative to the line): {q}{b} measured, {q}{b}_simulated, {q}{b}_start (nothing moved),
     {q}{b}_null, sd_{q}{b} (of the residual by measuring error), sd_input_{q}{b}. NaN where a body was not.
     """

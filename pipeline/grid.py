@@ -1,4 +1,5 @@
-"""The common grid of a row: measured and simulated deviation and yaw at equal chainages, gaps masked in both."""
+"""The common grid of a row: measured and simulated deviation and yaw at equal chainages, gaps masked in
+both."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ class BodyGrid:
     """One body's measured motion on its grid of chainages; all (N,).
 
     s : m, multiples of the grid's step; t : s, UTC, when the CoM was there; deviation : m, left of the line
-    yaw : rad, relative to the line; valid : outside GNSS gaps; yaw_reference : rad, what was taken off the yaw
+    yaw : rad, relative to the line; valid : outside GNSS gaps; yaw_reference : rad, what was taken off
+    the yaw
     """
 
     body: int

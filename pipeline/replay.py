@@ -1,7 +1,9 @@
 """Replay: the model driven by a pass's measured steering and speed, in windows that start from the smoother.
 
-Nothing else of the measured motion drives it: in a window the state starts from the smoothed motion, then only
-`Motion.steer_input` and the measured speed act. Without a steering series that is independent of the body's motion,
+Nothing else of the measured motion drives it: in a window the state starts from the smoothed motion,
+then only
+`Motion.steer_input` and the measured speed act. Without a steering series that is independent of the
+body's motion,
 the measured tractor's motion is imposed and only the seeder is simulated.
 """
 
@@ -10,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +22,7 @@ from ..model.machine import Machine
 from ..model.settings import SimulationSettings
 from ..model.simulate import BatchRun, initial_state, simulate_batch
 from .fusion.motion import Motion, SteerInput
+from .replay_settings import ReplaySettings
 from .rows import Row
 
 Floats = NDArray[np.float64]
@@ -26,38 +30,13 @@ Floats = NDArray[np.float64]
 X, Y, YAW, V, V_LATERAL, YAW_RATE = range(6)  # order of BodyMotion.covariance
 SHORTEST_WINDOW = 0.2  # of the horizon: a shorter remainder of the row joins its last window
 LEAST_SD = (1e-3, 1.7e-4, 1.7e-4)  # m, rad, rad (0.01°): no prior is sharper than this
-OVERRUN = (
-    1.0  # s that a window's run goes on, so that a slower simulation still covers the window's chainages
-)
-
-
-@dataclass(frozen=True)
-class ReplaySettings:
-    """Choices of the comparison that are fixed before data are seen.
-
-    horizon : m, length of the headline's windows; horizons : m, of the horizon curve (inf: the whole row)
-    grid_step : m; spacing : s, samples of a run
-    slow_steer_sd : rad, standard deviation of slow steering error where the series states no correlation time
-    draws : Monte Carlo draws of inputs and parameters; seed : of their generator
-    least_coverage : share of a row's grid that must lie outside GNSS gaps; longest_gap : s
-    simulation : equations, tyre law, solver
-    """
-
-    horizon: float = 25.0
-    horizons: tuple[float, ...] = (10.0, 25.0, 50.0, float("inf"))
-    grid_step: float = 0.2
-    spacing: float = 0.02
-    slow_steer_sd: float = float(np.deg2rad(0.2))
-    draws: int = 200
-    seed: int = 1
-    least_coverage: float = 0.95
-    longest_gap: float = 0.5
-    simulation: SimulationSettings = SimulationSettings()
+OVERRUN = 1.0  # s that a window's run goes on, so that a slower simulation still covers the chainages
 
 
 @dataclass(frozen=True)
 class Window:
-    """One window of a row: samples start to stop (excluded) of the motion's grid; origin m, the chainage there."""
+    """One window of a row: samples start to stop (excluded) of the motion's grid; origin m, the chainage
+    there."""
 
     index: int
     start: int
@@ -76,7 +55,8 @@ class Drive:
 
 
 def cut_windows(motion: Motion, row: Row, horizon: float) -> tuple[Window, ...]:
-    """Consecutive windows of `horizon` m of the tractor's chainage; a remainder under a fifth joins the last."""
+    """Consecutive windows of `horizon` m of the tractor's chainage; a remainder under a fifth joins the
+    last."""
     s, _ = row.line.project(motion.tractor.x[row.samples], motion.tractor.y[row.samples])
     s = np.maximum.accumulate(s)
     length = float(s[-1] - s[0])
@@ -127,7 +107,8 @@ def initial_states(
 
 
 def shifted(motion: Motion, windows: Sequence[Window], row: Row, offset: Floats, turn: Floats) -> Floats:
-    """(W, 8) initial states moved `offset` m to the line's left and turned by `turn` rad about the tractor."""
+    """(W, 8) initial states moved `offset` m to the line's left and turned by `turn` rad about the
+    tractor."""
     states = initial_states(motion, windows, turn)
     states[:, 0] -= offset * np.sin(row.line.heading)
     states[:, 1] += offset * np.cos(row.line.heading)
@@ -140,7 +121,7 @@ def run_windows(
     motion: Motion,
     windows: Sequence[Window],
     initial: Floats,
-    **changes: Floats | float,
+    **changes: Any,
 ) -> BatchRun:
     """Every window's run in one batch; `changes` are `simulate_batch`'s, one value a run."""
     longest = max(w.stop - w.start for w in windows) * float(np.median(np.diff(motion.t)))
@@ -161,7 +142,8 @@ def run_windows(
 def steering_prior_variance(steer: SteerInput, settings: ReplaySettings) -> float:
     """Variance in rad² of slow steering error: the stated one, and that of the constant zero.
 
-    A series whose stated error is white (no correlation time) says nothing of slow error and gets the default,
+    A series whose stated error is white (no correlation time) says nothing of slow error and gets the
+    default,
     (0.2°)².
     """
     slow = float(np.mean(steer.sd**2)) if steer.correlation_time > 0.0 else settings.slow_steer_sd**2

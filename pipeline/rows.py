@@ -29,7 +29,8 @@ COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "s
 
 @dataclass(frozen=True)
 class Row:
-    """One row: samples start to stop (excluded) of the motion's grid, and its line in the direction of travel.
+    """One row: samples start to stop (excluded) of the motion's grid, and its line in the direction of
+    travel.
 
     direction is the compass point of travel; source tells whether the line is the manifest's or fitted;
     length is the distance in m that the tractor's CoM covers along the line.
@@ -101,14 +102,16 @@ def manifest_line(motion: Motion, manifest: Manifest) -> Line | None:
 
 
 def straight_stretches(motion: Motion, nominal_speed: float) -> Iterator[tuple[int, int]]:
-    """(start, stop) of every stretch at speed and without a bend, cut where the track leaves its line's heading."""
+    """(start, stop) of every stretch at speed and without a bend, cut where the track leaves its line's
+    heading."""
     steady = steady_samples(motion, nominal_speed)
     for start, stop in runs(steady):
         yield from _within_heading(motion, start, stop)
 
 
 def steady_samples(motion: Motion, nominal_speed: float) -> Mask:
-    """(N,) whether the speed is held and the curvature |yaw rate / speed| is small, both smoothed over 1 s."""
+    """(N,) whether the speed is held and the curvature |yaw rate / speed| is small, both smoothed over 1
+    s."""
     step = float(np.median(np.diff(motion.t))) if motion.t.size > 1 else 1.0
     width = max(1, round(SMOOTHED_OVER / step))
     speed = uniform_filter1d(motion.tractor.v, width)
@@ -177,7 +180,8 @@ def _row(index: int, motion: Motion, start: int, stop: int, given: Line | None) 
 
 
 def serving_line(given: Line, fitted: Line, x: Floats, y: Floats) -> Line:
-    """The manifest's line in the direction of travel where it fits the row (within 5° and 2 m), else the fitted."""
+    """The manifest's line in the direction of travel where it fits the row (within 5° and 2 m), else the
+    fitted."""
     turn = float(wrapped(np.array(fitted.heading - given.heading)))
     line = given if abs(turn) <= np.pi / 2.0 else Line(given.b, given.a)
     angle = abs(float(wrapped(np.array(fitted.heading - line.heading))))

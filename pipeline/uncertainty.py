@@ -1,6 +1,7 @@
 """What measuring error, inputs and parameters leave in the residual, by linearised sensitivities and draws.
 
-The residual's response to each source is one run more a window (a finite difference); draws of the sources are
+The residual's response to each source is one run more a window (a finite difference); draws of the
+sources are
 then sums of such responses. Tests hold this against full simulations of the same draws.
 """
 
@@ -139,7 +140,8 @@ def _trailed_start_sources(
 def _start_sources(
     context: Context, drive: Drive, windows: Sequence[Window], generator: np.random.Generator
 ) -> Iterator[Source]:
-    """The start's lateral speed, yaw rates and the seeder's yaw (offset and heading belong to measuring error),
+    """The start's lateral speed, yaw rates and the seeder's yaw (offset and heading belong to measuring
+    error),
     and the measured speed."""
     motion, own = context.motion, _own_draws(context, windows, generator)
     initial = initial_states(motion, windows)
@@ -191,7 +193,8 @@ def _constant_steering_sources(
 def _slow_steering_sources(
     context: Context, drive: Drive, windows: Sequence[Window], generator: np.random.Generator
 ) -> Iterator[Source]:
-    """The steering's changing error, as hats at knots each second of a window: batch k moves every window's knot k."""
+    """The steering's changing error, as hats at knots each second of a window: batch k moves every
+    window's knot k."""
     motion = context.motion
     steer, initial = _steer(motion), initial_states(motion, windows)
     longest = max(motion.t[w.stop - 1] - motion.t[w.start] for w in windows)
@@ -214,7 +217,8 @@ def knot_draws(
 ) -> Floats:
     """(knots, count) unit draws of the steering error at the knots.
 
-    A correlation time over the knots' spacing Δ: Gauss–Markov. A shorter one (a white error counts as half a sample
+    A correlation time over the knots' spacing Δ: Gauss–Markov. A shorter one (a white error counts as
+    half a sample
     long): independent knots of variance 2τ/Δ, which keeps the error's density at low frequency.
     """
     tau = max(steer.correlation_time, 0.5 * sample)

@@ -1,4 +1,5 @@
-"""One row replayed in windows: residuals with nothing moved, with the bounded alignment, and of the straight line."""
+"""One row replayed in windows: residuals with nothing moved, with the bounded alignment, and of the
+straight line."""
 
 from __future__ import annotations
 
@@ -38,7 +39,8 @@ COARSE_SPACING, COARSE_STEP = 0.05, 0.02  # s, for the horizon curve and the sen
 
 @dataclass(frozen=True)
 class Context:
-    """What all windows of one row share. `trailed`: the measured tractor is imposed, only the seeder simulated."""
+    """What all windows of one row share. `trailed`: the measured tractor is imposed, only the seeder
+    simulated."""
 
     motion: Motion
     machine: Machine
@@ -53,7 +55,8 @@ class Context:
 class WindowFit:
     """One window: stacked arrays (N,) over its points, response by response.
 
-    start : residual with the state from the smoother and nothing moved; bounded : after the bounded alignment (run
+    start : residual with the state from the smoother and nothing moved; bounded : after the bounded
+    alignment (run
     again with the aligned start and steering); free : with offset and heading fitted without a prior
     null : residual of the straight line after the same bounded alignment; run, index : where its motion lies
     """
@@ -74,7 +77,8 @@ class WindowFit:
 def make_context(
     motion: Motion, machine: Machine, grid: RowGrid, settings: ReplaySettings, trailed: bool
 ) -> Context:
-    """The row's context, with size and correlation length of the measuring error from the smoother's draws."""
+    """The row's context, with size and correlation length of the measuring error from the smoother's
+    draws."""
     variance, correlation = [], []
     for body in grid.bodies:
         part = Part(body, 0, body.s.size)
@@ -196,7 +200,8 @@ def sensitivities(
     parts: Sequence[tuple[Part, ...]],
     nominal: BatchRun,
 ) -> list[Floats]:
-    """(N, 3) of each window to θ, the steering offset's by a finite difference; (N, 2) without a tractor model."""
+    """(N, 3) of each window to θ, the steering offset's by a finite difference; (N, 2) without a tractor
+    model."""
     rigid = [rigid_sensitivity(w, p) for w, p in zip(windows, parts, strict=True)]
     if context.trailed:
         return rigid
@@ -215,7 +220,8 @@ def sensitivities(
 def weights_of(context: Context, window: Window, parts: Sequence[Part]) -> Floats:
     """(N,) 1/S with S = variance of the measuring error × correlation length / grid step; 0 where masked.
 
-    A correlation length beyond the window counts as the window's: a window holds at least one independent value.
+    A correlation length beyond the window counts as the window's: a window holds at least one
+    independent value.
     """
     weights = on_grid.stacked_valid(parts).astype(np.float64)
     for i, (_, place) in enumerate(on_grid.slices(parts)):

@@ -13,7 +13,8 @@ DIAGONAL, UP, LEFT = 0, 1, 2
 
 @njit(cache=True)
 def warp_costs(a: Any, b: Any, band: int, steps: Any) -> float:  # pragma: no cover - compiled
-    """Fill `steps` with the cheapest predecessor of each cell (0 diagonal, 1 up, 2 left); returns the total cost.
+    """Fill `steps` with the cheapest predecessor of each cell (0 diagonal, 1 up, 2 left); returns the
+    total cost.
 
     D(i, j) = (a_i − b_j)² + min(D(i−1, j−1), D(i−1, j), D(i, j−1)) for |i − j| ≤ band, infinite elsewhere.
     """
@@ -40,7 +41,8 @@ def warp_costs(a: Any, b: Any, band: int, steps: Any) -> float:  # pragma: no co
 
 @njit(cache=True)
 def trace_back(steps: Any, path: Any) -> int:  # pragma: no cover - compiled
-    """Walk from the last cell to the first; writes (i, j) into `path` backwards and returns the path's length."""
+    """Walk from the last cell to the first; writes (i, j) into `path` backwards and returns the path's
+    length."""
     i = j = steps.shape[0] - 1
     length = 0
     while True:
@@ -58,7 +60,8 @@ def trace_back(steps: Any, path: Any) -> int:  # pragma: no cover - compiled
 def warped(
     a: NDArray[np.float64], b: NDArray[np.float64], band: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Both signals along their cheapest common path, which strays at most `band` samples from the diagonal."""
+    """Both signals along their cheapest common path, which strays at most `band` samples from the
+    diagonal."""
     steps = np.zeros((a.size, a.size), dtype=np.int8)
     path = np.zeros((2 * a.size, 2), dtype=np.int64)
     warp_costs(np.ascontiguousarray(a), np.ascontiguousarray(b), band, steps)

@@ -8,7 +8,8 @@ from ._base import Metric, Pair, Values, ratio
 
 
 def correlation(pair: Pair) -> Values:
-    """r = cov(m, c)/(σm·σc); concordance 2·cov/(σm² + σc² + (mean m − mean c)²), which also sees scale and offset."""
+    """r = cov(m, c)/(σm·σc); concordance 2·cov/(σm² + σc² + (mean m − mean c)²), which also sees scale
+    and offset."""
     m, c = pair.measured, pair.simulated
     covariance = float(np.mean((m - m.mean()) * (c - c.mean())))
     spread = float(np.var(m) + np.var(c) + (m.mean() - c.mean()) ** 2)

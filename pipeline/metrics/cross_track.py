@@ -8,9 +8,11 @@ from ._base import Floats, Metric, Pair, Values
 
 
 def cross_track(pair: Pair) -> Values:
-    """Mean, sd, rms and 95th percentile of |deviation from the line|, for the measured and the simulated signal.
+    """Mean, sd, rms and 95th percentile of |deviation from the line|, for the measured and the simulated
+    signal.
 
-    ISO 12188-2 reports these for a steering system's relative cross-track error; here they describe how straight
+    ISO 12188-2 reports these for a steering system's relative cross-track error; here they describe how
+    straight
     each signal is, so that a model that is merely calm can be told from one that is right.
     """
     values = {f"measured_{key}": value for key, value in _statistics(pair.measured).items()}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ._warping import warped
 from ._base import Floats, Metric, Pair, Values
+from ._warping import warped
 
 INNER, OUTER = 0.05, 0.50  # corridors, of the reference's greatest magnitude
 CORRIDOR_POWER = 2.0
@@ -18,7 +18,8 @@ SMOOTHED_OVER = 9  # samples
 def iso18571(pair: Pair) -> Values:
     """R = 0.4·Z + 0.2·(EP + EM + ES), with the measured signal as reference. One is perfect.
 
-    The standard samples at 10 kHz for crash pulses; only sample counts enter, so the grid's 0.2 m takes the place
+    The standard samples at 10 kHz for crash pulses; only sample counts enter, so the grid's 0.2 m takes
+    the place
     of 0.1 ms: slopes are smoothed over 9 points, that is 1.8 m.
     """
     if not (np.ptp(pair.measured) > 0.0 and np.ptp(pair.simulated) > 0.0 and pair.measured.size >= 20):
@@ -39,7 +40,8 @@ def corridor_score(reference: Floats, compared: Floats) -> float:
 
 
 def phase_score(reference: Floats, compared: Floats) -> tuple[float, Floats, Floats]:
-    """(m − n)/m for the shift n ≤ m of greatest correlation, and both signals cut to their overlap at that shift."""
+    """(m − n)/m for the shift n ≤ m of greatest correlation, and both signals cut to their overlap at
+    that shift."""
     count = reference.size
     largest = int(LARGEST_SHIFT * count)
     shifts = sorted(range(-largest, largest + 1), key=abs)
@@ -57,13 +59,13 @@ def _overlap(reference: Floats, compared: Floats, shift: int) -> tuple[Floats, F
 
 def _correlation(a: Floats, b: Floats) -> float:
     a, b = a - a.mean(), b - b.mean()
-    return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), 1e-300))
+    return float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-300)
 
 
 def magnitude_score(reference: Floats, compared: Floats) -> float:
     """(0.5 − ε)/0.5 with ε = Σ|c − t| / Σ|t| along the warped path, not under zero."""
     compared, reference = warped(compared, reference, int(np.ceil(WARP_BAND * reference.size)) - 1)
-    error = float(np.abs(compared - reference).sum() / np.abs(reference).sum())
+    error = float(np.abs(compared - reference).sum()) / float(np.abs(reference).sum())
     return max(0.0, (MAGNITUDE_LIMIT - error) / MAGNITUDE_LIMIT)
 
 

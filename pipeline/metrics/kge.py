@@ -10,7 +10,8 @@ from ._base import Metric, Pair, Values, ratio
 def kge(pair: Pair) -> Values:
     """1 − √((r − 1)² + (α − 1)² + (β − 1)²), r correlation, α = sd ratio, β = mean ratio.
 
-    β divides by the measured mean, which is near zero for a deviation from a line: `kge` is the published form,
+    β divides by the measured mean, which is near zero for a deviation from a line: `kge` is the
+    published form,
     `kge_centred` leaves β out (both signals centred) and is the one to read here.
     """
     m, c = pair.measured, pair.simulated

@@ -8,7 +8,8 @@ from ._base import Metric, Pair, Values, ratio
 
 
 def russell(pair: Pair) -> Values:
-    """m = (Σc² − Σm²)/√(Σm²Σc²), M = sign(m)·log10(1 + |m|), P = arccos(Σmc/√(Σm²Σc²))/π, C = √(π/4·(M² + P²))."""
+    """m = (Σc² − Σm²)/√(Σm²Σc²), M = sign(m)·log10(1 + |m|), P = arccos(Σmc/√(Σm²Σc²))/π, C = √(π/4·(M²
+    + P²))."""
     mm, cc = float(np.sum(pair.measured**2)), float(np.sum(pair.simulated**2))
     mc = float(np.sum(pair.measured * pair.simulated))
     root = float(np.sqrt(mm * cc))

@@ -1,4 +1,5 @@
-"""Motions with known truth: the model's own run, and smoothed motions drawn about it from a stated covariance.
+"""Motions with known truth: the model's own run, and smoothed motions drawn about it from a stated
+covariance.
 
 The "field" is a simulation with a driver and random soil forces; a `Motion` is the truth plus errors whose
 covariance is known, with draws from that same covariance. Nothing of the fusion is involved.
@@ -10,7 +11,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-
 from smts_validate.model.inputs import Controls, Driver, ForceSeries, coloured_noise, straight_path
 from smts_validate.model.machine import Machine
 from smts_validate.model.simulate import SimulatedRun, initial_state, simulate
@@ -89,7 +89,8 @@ rate = 10.0
 
 @dataclass(frozen=True)
 class Errors:
-    """Stated standard deviations (m, rad, m/s, rad/s) and correlation times (s) of a smoothed motion's errors."""
+    """Stated standard deviations (m, rad, m/s, rad/s) and correlation times (s) of a smoothed motion's
+    errors."""
 
     slow: float = 0.008
     slow_time: float = 30.0
@@ -202,7 +203,8 @@ def motion_of(run: SimulatedRun, machine: Machine, errors: Errors, seed: int, dr
         "sensor",
     )
     return Motion(
-        t=T0 + t, origin=Origin(50.04, 36.48, 150.0), tractor=bodies[0], seeder=bodies[1] if len(bodies) > 1 else None,
+        t=T0 + t, origin=Origin(50.04, 36.48, 150.0), tractor=bodies[0],
+        seeder=bodies[1] if len(bodies) > 1 else None,
         steer=angle, sd_steer=np.full(t.size, errors.steer), steer_input=series,
         draw_t=T0 + t[::DRAW_EVERY], draws=some if len(bodies) > 1 else some[:, :, :3],
         gnss_t=T0 + t[::5],
@@ -212,7 +214,8 @@ def motion_of(run: SimulatedRun, machine: Machine, errors: Errors, seed: int, dr
 def body_errors(
     run: SimulatedRun, machine: Machine, errors: Errors, generator: np.random.Generator
 ) -> Floats:
-    """(N, 6) errors of x1, y1, yaw1, x2, y2, yaw2 at 1/50 s: position shared, the seeder's place by its yaws."""
+    """(N, 6) errors of x1, y1, yaw1, x2, y2, yaw2 at 1/50 s: position shared, the seeder's place by its
+    yaws."""
     size = run.t.size
 
     def noise(sd: float, time: float) -> Floats:
@@ -254,7 +257,9 @@ def _body(
 
     nan = np.full(size, np.nan)
     return BodyMotion(
-        x=values("x") + made[:, first], y=values("y") + made[:, first + 1], yaw=values("yaw") + made[:, first + 2],
-        v=noisy("v", stated.speed), v_lateral=noisy("v_lateral", stated.speed), yaw_rate=noisy("yaw_rate", stated.rate),
+        x=values("x") + made[:, first], y=values("y") + made[:, first + 1],
+        yaw=values("yaw") + made[:, first + 2],
+        v=noisy("v", stated.speed), v_lateral=noisy("v_lateral", stated.speed),
+        yaw_rate=noisy("yaw_rate", stated.rate),
         covariance=covariance, roll=nan, pitch=nan, lateral_acceleration=values("ay"),
     )  # fmt: skip
