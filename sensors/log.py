@@ -39,6 +39,7 @@ PROFILE = "ros2"
 LIBRARY = "smts-validate"
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 1 << 20  # uncompressed
+CHUNK_NS = 30_000_000_000  # and at most this span: a log that is cut off loses the end, not whole sensors
 LEVEL = 1  # zstd; higher ones cost twice the time and save under 1 % on inertial noise
 WORKERS = min(4, os.cpu_count() or 1)
 MANIFEST_NAME = "run.toml"
@@ -180,6 +181,7 @@ class _Writer:
     def messages(self) -> None:
         """Serialise and compress in threads, a few chunks ahead of the writing."""
         jobs = [(i, *span) for i, each in enumerate(self.channels, 1) for span in _spans(each)]
+        jobs.sort(key=lambda job: int(self.channels[job[0] - 1].log_time_ns[job[1]]))
         with ThreadPoolExecutor(WORKERS) as pool:
             for first in range(0, len(jobs), 4 * WORKERS):
                 some = jobs[first : first + 4 * WORKERS]
@@ -295,7 +297,9 @@ def _spans(channel: Channel) -> Iterator[tuple[int, int]]:
         if isinstance(channel.messages, Columns)
         else (sum(map(len, channel.messages)) // n)
     )
-    step = max(1, CHUNK_BYTES // (size + _HEAD.itemsize))
+    span = int(channel.log_time_ns[-1]) - int(channel.log_time_ns[0])
+    in_time = n * CHUNK_NS // span if span > CHUNK_NS else n
+    step = max(1, min(in_time, CHUNK_BYTES // (size + _HEAD.itemsize)))
     for start in range(0, n, step):
         yield start, min(start + step, n)
 

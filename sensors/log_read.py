@@ -34,7 +34,7 @@ from .log_collect import (
 from .log_topics import GNSS_EXTRAS, from_ns
 from .manifest import Manifest, ManifestError, parse
 from .mcap_records import McapError
-from .mcap_scan import Recording, open_recording
+from .mcap_scan import Fault, Recording, open_recording
 from .rosbag2 import files_of
 from .streams import FieldLog, Floats, GnssStream, ImuStream, SteerStream, Stream, Warn, WheelStream
 
@@ -60,7 +60,8 @@ def read_streams(path: Path, given: tuple[Manifest, str] | None) -> FieldLog:
         if stream is not None:
             streams[name] = stream
         elif sensor.topic is not None or sensor.kind in NEEDED:
-            raise LogError(_missing(path, name, next(iter(_places(name, sensor).values())), recordings))
+            places = _places(name, sensor)
+            raise LogError(_missing(path, name, next(iter(places.values())), recordings) + _because(faults))
         elif given is not None:
             warnings.append(Warn(f"sensor {name} is not in the log", "passed over", sensor=name))
     told = _ingest(recordings)
@@ -88,7 +89,8 @@ def _attached(recordings: Sequence[Recording], name: str) -> bytes | None:
 def _attached_manifest(path: Path, recordings: Sequence[Recording]) -> tuple[Manifest, str]:
     data = _attached(recordings, MANIFEST_NAME)
     if data is None:
-        raise LogError(f"{path}: has no run.toml attached; give one with --manifest")
+        damage = _because([fault for recording in recordings for fault in recording.faults])
+        raise LogError(f"{path}: has no run.toml attached; give one with --manifest{damage}")
     text = data.decode("utf-8-sig", errors="replace")
     try:
         return parse(text, f"{path}, run.toml"), text
@@ -119,6 +121,11 @@ def _missing(path: Path, sensor: str, topic: str, recordings: Sequence[Recording
     near = difflib.get_close_matches(topic, there, n=1, cutoff=0.3)
     hint = f"; did you mean {near[0]}?" if near else f"; it has {', '.join(there[:8]) or 'no topics'}"
     return f"{path}: there are no messages for sensor {sensor} on topic {topic}{hint}"
+
+
+def _because(faults: Sequence[Fault]) -> str:
+    """Damage that may be why something is missing."""
+    return f" ({faults[0].what})" if faults else ""
 
 
 # -- which topics ----------------------------------------------------------------------------------------

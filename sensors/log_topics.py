@@ -100,7 +100,7 @@ def channels_of(log: FieldLog) -> list[Channel]:
     found: list[Channel] = []
     for name, stream in log.streams.items():
         if isinstance(stream, ImuStream):
-            found += _imu_channels(name, stream)
+            found += imu_channels(name, stream)
         elif isinstance(stream, GnssStream):
             found += _gnss_channels(name, stream)
         else:
@@ -124,7 +124,8 @@ def _channel(
     return Channel(topic, kind, arrival_ns, messages(kind, {**header, **values}, every), t_ns)
 
 
-def _imu_channels(name: str, stream: ImuStream) -> list[Channel]:
+def imu_channels(name: str, stream: ImuStream) -> list[Channel]:
+    """A unit's samples, and its magnetometer's where it has one."""
     without_orientation = {"orientation": {"w": 1.0}, "orientation_covariance": [-1.0] + [0.0] * 8}
     columns = {"angular_velocity": stream.angular_velocity, "linear_acceleration": stream.specific_force}
     found = [_channel(f"/{name}/imu", "sensor_msgs/msg/Imu", stream, without_orientation, columns)]

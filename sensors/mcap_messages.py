@@ -54,12 +54,32 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class _Block:
-    """Decompressed records, or the fault that hides them."""
+class Block:
+    """Decompressed records, taken apart as far as threads can do it.
+
+    definitions: schemas and channels; start, length: (n,) of the messages' payloads; heads: (n,).
+    """
 
     data: Bytes
-    table: Table
+    definitions: Table
+    start: Ints
+    length: Ints
+    heads: NDArray[np.void]
     faults: tuple[Fault, ...] = ()
+
+
+def make_block(data: Bytes, table: Table, faults: tuple[Fault, ...] = ()) -> Block:
+    """Take a walked buffer apart. Raises McapError for a message shorter than its head."""
+    defining = np.flatnonzero((table.opcode == Op.SCHEMA) | (table.opcode == Op.CHANNEL))
+    rows: Ints | slice = table.of(Op.MESSAGE)
+    start, length = table.start[rows], table.length[rows]
+    if start.size and int(length.min()) < MESSAGE_HEAD:
+        raise McapError(f"a message record is shorter than its {MESSAGE_HEAD} bytes of head")
+    heads = np.empty(0, MESSAGE_DTYPE)
+    if start.size:
+        all_heads = Payloads(data, start, np.full(start.size, MESSAGE_HEAD))
+        heads = all_heads.matrix(np.arange(start.size)).view(MESSAGE_DTYPE)[:, 0]
+    return Block(data, table.at(defining), start + MESSAGE_HEAD, length - MESSAGE_HEAD, heads, faults)
 
 
 def read_messages(recording: Recording, wanted: Callable[[Channel], bool]) -> Iterator[Batch | Fault]:
@@ -71,7 +91,7 @@ def read_messages(recording: Recording, wanted: Callable[[Channel], bool]) -> It
     _refuse_bombs(recording)
     registry = Registry(dict(recording.schemas), dict(recording.channels))
     if recording.loose.opcode.size:
-        yield from _batches(_Block(recording.data, recording.loose), registry, wanted)
+        yield from _batches(make_block(recording.data, recording.loose), registry, wanted)
     with ThreadPoolExecutor(WORKERS) as pool:
         for block in _ahead(pool, recording):
             yield from block.faults
@@ -86,9 +106,9 @@ def _refuse_bombs(recording: Recording) -> None:
         )
 
 
-def _ahead(pool: ThreadPoolExecutor, recording: Recording) -> Iterator[_Block]:
+def _ahead(pool: ThreadPoolExecutor, recording: Recording) -> Iterator[Block]:
     """Opened chunks in order; others are opened in threads meanwhile, AHEAD bytes of them at most."""
-    waiting: deque[tuple[Chunk, Future[_Block]]] = deque()
+    waiting: deque[tuple[Chunk, Future[Block]]] = deque()
     size = 0
     for chunk in recording.chunks:
         while waiting and size + chunk.uncompressed_size > AHEAD:
@@ -102,27 +122,39 @@ def _ahead(pool: ThreadPoolExecutor, recording: Recording) -> Iterator[_Block]:
         yield block.result()
 
 
-def open_chunk(data: Bytes, chunk: Chunk) -> _Block:
+def open_chunk(data: Bytes, chunk: Chunk) -> Block:
     """A chunk's records, decompressed and checked.
 
+    A chunk that the end of the file cuts gives what is there of it; one that is whole but does not
+    decompress, or whose CRC is wrong, gives nothing: its values cannot be trusted.
     Raises McapError for an unknown compression and for a size that no chunk has.
     """
     if chunk.uncompressed_size > MAX_CHUNK:
         raise McapError(f"a chunk claims {chunk.uncompressed_size} bytes, more than {MAX_CHUNK}; refused")
     raw = _decompress(data.data[chunk.start : chunk.start + chunk.size], chunk)
-    span = _span(chunk)
     content = np.frombuffer(raw, np.uint8)
-    if content.size == chunk.uncompressed_size and chunk.uncompressed_crc not in (0, zlib.crc32(raw)):
-        fault = Fault(f"the chunk of {span} has a wrong CRC", f"its messages ({span}) are lost")
-        return _Block(content[:0], walk(content, 0, 0), (fault,))
-    table = walk(content, 0, content.size)
-    if content.size == chunk.uncompressed_size and table.complete:
-        return _Block(content, table)
+    if chunk.start + chunk.size > data.size:
+        return _cut_block(content, chunk)
+    right = content.size == chunk.uncompressed_size and chunk.uncompressed_crc in (0, zlib.crc32(raw))
+    table = walk(content, 0, content.size if right else 0)
+    if right and table.complete:
+        return make_block(content, table)
+    what = "its records do not fit" if right else "wrong CRC or damaged compression"
     fault = Fault(
-        f"the chunk of {span} is cut: {content.size} of {chunk.uncompressed_size} bytes could be read",
-        f"its {table.of(Op.MESSAGE).size} whole messages were salvaged, the rest is lost",
+        f"the chunk at byte {chunk.start} is damaged ({what})", f"all from {_span(chunk)} in it is lost"
     )
-    return _Block(content, table, (fault,))
+    return make_block(content, walk(content, 0, 0), (fault,))
+
+
+def _cut_block(content: Bytes, chunk: Chunk) -> Block:
+    table = walk(content, 0, content.size)
+    count = table.of(Op.MESSAGE).size
+    told = f"{content.size} of its {chunk.uncompressed_size} bytes could be read"
+    fault = Fault(
+        f"the chunk of {_span(chunk)} is cut: {told}",
+        f"{count} whole messages were salvaged, the rest is lost",
+    )
+    return make_block(content, table, (fault,))
 
 
 def _span(chunk: Chunk) -> str:
@@ -177,32 +209,28 @@ def _as_far_as_it_goes(engine: object, packed: memoryview, size: int, error: typ
     return bytes(out[:size])
 
 
-def _batches(block: _Block, registry: Registry, wanted: Callable[[Channel], bool]) -> Iterator[Batch]:
-    for record in records_of(block.data, _definitions(block.table), ()):
+def _batches(block: Block, registry: Registry, wanted: Callable[[Channel], bool]) -> Iterator[Batch | Fault]:
+    for record in records_of(block.data, block.definitions, ()):
         registry.add(record)
-    rows = block.table.of(Op.MESSAGE)
-    if rows.size == 0:
-        return
-    start, length = block.table.start[rows], block.table.length[rows]
-    if int(length.min()) < MESSAGE_HEAD:
-        raise McapError(f"a message record is shorter than its {MESSAGE_HEAD} bytes of head")
-    heads = _heads(block.data, start)
-    ids = heads["channel_id"]
-    for key in dict.fromkeys(ids.tolist()) if ids.size < 64 else np.unique(ids).tolist():
+    ids = block.heads["channel_id"]
+    for key, own in _by_channel(ids):
         channel = registry.channels.get(key)
         if channel is None:
-            raise McapError(f"messages of channel {key}, which no record defines")
-        if not wanted(channel):
-            continue
-        own = np.flatnonzero(ids == key)
-        payloads = unpacked(Payloads(block.data, start[own] + MESSAGE_HEAD, length[own] - MESSAGE_HEAD))
-        yield Batch(
-            channel,
-            registry.schemas.get(channel.schema_id),
-            heads["log_time"][own],
-            heads["publish_time"][own],
-            payloads,
-        )
+            count = int(np.count_nonzero(ids == key))
+            yield Fault(f"{count} messages are of channel {key}, which no record defines", "left out")
+        elif wanted(channel):
+            payloads = unpacked(Payloads(block.data, block.start[own], block.length[own]))
+            times = block.heads["log_time"][own], block.heads["publish_time"][own]
+            yield Batch(channel, registry.schemas.get(channel.schema_id), *times, payloads)
+
+
+def _by_channel(ids: NDArray[np.uint16]) -> Iterator[tuple[int, Ints | slice]]:
+    """Channels of a block and their rows; without a search where there is only one."""
+    if ids.size and (ids == ids[0]).all():
+        yield int(ids[0]), slice(None)
+        return
+    for key in np.unique(ids).tolist():
+        yield key, np.flatnonzero(ids == key)
 
 
 def unpacked(payloads: Payloads) -> Payloads:
@@ -213,10 +241,11 @@ def unpacked(payloads: Payloads) -> Payloads:
 
     Raises McapError for a frame that is damaged, and when they claim more than MAX_CHUNK bytes in all.
     """
-    if len(payloads) == 0 or not _packed(payloads).any():
+    begins = _packed(payloads)
+    if not begins.any():
         return payloads
     engine, size, parts = zstandard.ZstdDecompressor(), 0, []
-    for row, packed in enumerate(_packed(payloads).tolist()):
+    for row, packed in enumerate(begins.tolist()):
         part = payloads.at(row)
         if packed:
             part = _frame(engine, part, row)
@@ -232,10 +261,10 @@ def unpacked(payloads: Payloads) -> Payloads:
 
 def _packed(payloads: Payloads) -> NDArray[np.bool_]:
     """Which messages begin as a zstd frame."""
-    long = payloads.length >= ZSTD_MAGIC.size
-    begins = np.zeros(len(payloads), np.bool_)
-    at = payloads.start[long][:, np.newaxis] + np.arange(ZSTD_MAGIC.size)
-    begins[long] = (payloads.data[at] == ZSTD_MAGIC).all(axis=1)
+    begins = payloads.length >= ZSTD_MAGIC.size
+    for i, byte in enumerate(ZSTD_MAGIC):
+        rows = np.flatnonzero(begins)
+        begins[rows] = payloads.data[payloads.start[rows] + i] == byte
     return begins
 
 
@@ -246,13 +275,3 @@ def _frame(engine: zstandard.ZstdDecompressor, part: bytes, row: int) -> bytes:
         return bytes(engine.decompress(part, max_output_size=MAX_CHUNK))
     except zstandard.ZstdError:
         raise McapError(f"message {row} is compressed with zstd, but damaged") from None
-
-
-def _definitions(table: Table) -> Table:
-    rows = np.flatnonzero((table.opcode == Op.SCHEMA) | (table.opcode == Op.CHANNEL))
-    return Table(table.opcode[rows], table.start[rows], table.length[rows], table.end, True)
-
-
-def _heads(data: Bytes, start: Ints) -> NDArray[np.void]:
-    windows = np.lib.stride_tricks.sliding_window_view(data, MESSAGE_HEAD)
-    return np.asarray(windows[start]).view(MESSAGE_DTYPE)[:, 0]

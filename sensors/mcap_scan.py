@@ -106,7 +106,7 @@ def _pieces(data: Bytes, start: int, stop: int) -> Iterator[memoryview]:
 
 def let_go(data: Bytes, start: int, size: int) -> None:
     """Tell the system that pages of a mapped file are not needed for now."""
-    mapped = data.base
+    mapped = data.base.obj if isinstance(data.base, memoryview) else None
     if isinstance(mapped, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
         first = start - start % mmap.PAGESIZE
         mapped.madvise(mmap.MADV_DONTNEED, first, min(start + size, data.size) - first)
@@ -171,14 +171,16 @@ def records_of(data: Bytes, table: Table, leave: Sequence[Op]) -> Iterator[Recor
             yield Fault(f"an attachment of {length} bytes at byte {start - FRAME}", "it was passed over")
             continue
         record = parse(data, opcode, start, length)
-        if record is not None:
+        if isinstance(record, Attachment) and record.crc not in (0, _crc(data, start, start + length - 4)):
+            yield Fault(f"the attachment {record.name} has a wrong CRC", "it was passed over")
+        elif record is not None:
             yield record
 
 
 def _loose(table: Table) -> Table:
     """The messages that lie outside chunks."""
     rows = table.of(Op.MESSAGE)
-    return Table(table.opcode[rows], table.start[rows], table.length[rows], table.end, True)
+    return table.at(rows)
 
 
 def _cut_chunk(data: Bytes, table: Table) -> tuple[Chunk, ...]:
