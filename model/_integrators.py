@@ -79,7 +79,8 @@ def fixed_span(
         if part > 0:
             derivative(s, p, u, tables, int(change[at.FORCE_ROW]), options, k[0])
         finish_step(
-            t + part * h / parts, h / parts, s, size, p, driver, memory, change, tables, options, h, u, k, trial
+            t + part * h / parts, h / parts, s, size, p, driver, memory, change, tables, options, h, u, k,
+            trial
         )  # fmt: skip
 
 
@@ -88,7 +89,8 @@ def trial_step(
     t: float, h: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats, change: Floats,
     tables: Tables, options: Options, step: float, u: Floats, k: Floats, trial: Floats,
 ) -> float:  # fmt: skip
-    """One Dormand–Prince step into trial, its first slope k[0] being known; gives its error over the tolerance."""
+    """One Dormand–Prince step into trial, its first slope k[0] being known; gives its error over the
+    tolerance."""
     for stage in range(1, 7):
         for i in range(size):
             slope = 0.0
@@ -113,7 +115,8 @@ def adaptive_span(
     t: float, span: float, guess: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats,
     change: Floats, tables: Tables, options: Options, step: float, u: Floats, k: Floats, trial: Floats,
 ) -> float:  # fmt: skip
-    """Dormand–Prince from t to t + span, its first slope k[0] being known; gives the next step to try, 0 if lost."""
+    """Dormand–Prince from t to t + span, its first slope k[0] being known; gives the next step to try, 0 if
+    lost."""
     done, h = 0.0, guess
     for _ in range(MOST_TRIALS):
         last = done + h >= span * (1.0 - 1e-12)

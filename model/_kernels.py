@@ -248,8 +248,8 @@ def interpolate(table: Floats, place: float, column: int) -> float:
 
 @njit(cache=True, error_model="numpy")
 def add_distance_force(distance: float, p: Floats, tables: Tables, row: int, u: Floats) -> None:
-    """Disturbance of this instant into u[FORCE_NOW..]: over time plus over distance; the seeder meets the latter
-    when its own CoM gets there."""
+    """Disturbance of this instant into u[FORCE_NOW..]: over time plus over distance; the seeder meets the
+    latter when its own CoM gets there."""
     for i in range(at.FORCE_SIZE):
         u[at.FORCE_NOW + i] = u[FORCE + i]
     if tables.distance_force.shape[1] == 0:

@@ -162,7 +162,8 @@ def _places(machine: Machine) -> list[tuple[str, int, tuple[float, float], float
 
 
 def traction_demand(machine: Machine, state: Floats, inputs: Instant, settings: SimulationSettings) -> float:
-    """Traction of all driven wheels together, N: (m1 + m2)·(a + (v_asked − v)/T) + rolling resistances + draft."""
+    """Traction of all driven wheels together, N: (m1 + m2)·(a + (v_asked − v)/T) + rolling resistances +
+    draft."""
     m1, _, _, m2, _, _ = _levers(machine)
     v = math.cos(state[YAW1]) * state[VX1] + math.sin(state[YAW1]) * state[VY1]
     resistance = sum(tyre.rolling_resistance * load for _, _, _, load, tyre, _ in _places(machine))
@@ -210,7 +211,8 @@ def wheel_forces(
 
 def draft_force(machine: Machine, state: Floats, settings: SimulationSettings = DEFAULT) -> Floats:
     """The seeder's traction resistance P2, N, world frame: against the velocity of its point of action (or of
-    that velocity's part along the seeder's axis), turned counter-clockwise by γ21; it fades in from standstill."""
+    that velocity's part along the seeder's axis), turned counter-clockwise by γ21; it fades in from
+    standstill."""
     seeder = machine.seeder
     if seeder is None:
         return np.zeros(2)

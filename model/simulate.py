@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -139,6 +140,25 @@ def simulate(
         machine, controls, np.asarray(initial)[None], t.size, spacing, start=float(t[0]), settings=settings
     )
     return batch.run(0)
+
+
+def halved_step_error(
+    machine: Machine,
+    controls: Controls,
+    initial: Floats,
+    t_out: Floats,
+    settings: SimulationSettings = DEFAULT,
+) -> float:
+    """Error of a run's positions, m: largest distance of either CoM to the same run at half the step."""
+    half = dataclasses.replace(settings, step=settings.step / 2.0)
+    runs = [simulate(machine, controls, initial, t_out, choice) for choice in (settings, half)]
+    count = min(run.t.size for run in runs)
+    gaps = []
+    for x, y in (("x1", "y1"), ("x2", "y2")):
+        if getattr(runs[0], x) is not None:
+            dx, dy = (getattr(runs[0], n)[:count] - getattr(runs[1], n)[:count] for n in (x, y))
+            gaps.append(float(np.hypot(dx, dy).max()))
+    return max(gaps)
 
 
 def simulate_batch(

@@ -1,7 +1,8 @@
 """Independent oracle: the equations of motion derived by sympy from the kinetic energy and virtual work.
 
-Nothing of the package is used but the machine's numbers. The kinetic energy is that of two bodies whose centres of
-mass are written down as positions; Lagrange's equations give M and h; every force enters as F·∂r/∂q at its point.
+Nothing of the package is used but the machine's numbers. The kinetic energy is that of two bodies whose
+centres of mass are written down as positions; Lagrange's equations give M and h; every force enters as
+F·∂r/∂q at its point.
 """
 
 from __future__ import annotations
