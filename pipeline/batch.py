@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import json
+import os
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
+from .batch_campaign import summarise
 from .batch_executors import SerialExecutor, WorkerSlots, dask_executor
 from .batch_find import find
 from .batch_limits import Limits
 from .batch_loop import BatchRun, Watch, run_all
 from .batch_plan import Plan, Terms, plan
 from .batch_store import Store, open_store, work_folder
+from .batch_task import Outcome, Task, run_task
 from .run import RunSettings
 
 FAILURES = "failures.json"
@@ -35,25 +40,25 @@ class Request:
     summarise: bool = True
 
 
-def run_batch(request: Request, watch: Watch) -> dict[str, Any]:
+def run_batch(request: Request, watch: Watch, work: Callable[[Task], Outcome] = run_task) -> dict[str, Any]:
     """Run every pass under the paths, then the campaign over all that have a result.
 
     Returns the summary: counts, failures, and the campaign's verdict (None without a pass that succeeded).
     Raises FindError when there is nothing to run, InterruptedBatch on Ctrl-C.
     """
     found = find(request.paths, request.out)
-    with work_folder(request.out) as work:
-        terms = Terms(request.out, work, request.settings, request.resume, request.limits)
+    with work_folder(request.out) as folder:
+        terms = Terms(request.out, folder, request.settings, request.resume, request.limits)
         planned = plan(found.sources, terms)
-        ran = _run(planned, request, watch)
-        store = open_store(request.out, work)
+        ran = _run(planned, request, watch, work)
+        store = open_store(request.out, folder)
         runs = [task.run for task in planned.tasks if task.run not in {f.run for f in ran.failures}]
         return _finish(store, ran, runs, request)
 
 
-def _run(planned: Plan, request: Request, watch: Watch) -> BatchRun:
+def _run(planned: Plan, request: Request, watch: Watch, work: Callable[[Task], Outcome]) -> BatchRun:
     with _executor(request, len(planned.tasks)) as (executor, slots):
-        ran = run_all(planned.tasks, executor, slots, watch)
+        ran = run_all(planned.tasks, executor, slots, watch, work)
     failures = sorted((*ran.failures, *planned.refused), key=lambda outcome: (outcome.run, outcome.source))
     return replace(ran, total=ran.total + len(planned.refused), failures=tuple(failures))
 
@@ -88,7 +93,18 @@ def _finish(store: Store, ran: BatchRun, runs: Sequence[str], request: Request) 
     }
     if not request.summarise:
         return summary
+    with store.local(runs) as out:
+        write_whole(out / FAILURES, {"schema": 1, "failures": failures})
+        if runs:
+            summary |= summarise(out, runs, request.campaign)
     return summary
+
+
+def write_whole(path: Path, document: dict[str, Any]) -> None:
+    """Write a JSON file under another name and rename it: it is whole or not there."""
+    part = path.with_name(f".{path.name}.part")
+    part.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    os.replace(part, path)
 
 
 def commands(request: Request) -> list[str]:

@@ -2,37 +2,154 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+import hashlib
+import platform
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from ..model.machine import Machine
+from ..sensors.ingest import read_pass
+from ..sensors.log import read_log, write_log
 from ..sensors.streams import FieldLog
+from . import findings
+from .adequacy import Rules, judge_pass
+from .compare import compare
+from .fusion.fuse import fuse
+from .fusion.settings import FusionSettings
+from .replay import ReplaySettings
+from .result import PassResult, write_result
 
 Say = Callable[[str], None]
+PACKAGES = ("smts-validate", "numpy", "scipy", "numba", "pandas", "pyarrow", "filterpy", "pymap3d", "mcap")
 
 
 class SourceError(ValueError):
     """A path that holds neither a raw pass nor a log."""
 
 
+@dataclass(frozen=True)
+class RunSettings:
+    """Options of one pass, all that its result depends on beside its files."""
+
+    fusion: FusionSettings = FusionSettings()
+    replay: ReplaySettings = ReplaySettings()
+    rules: Rules = Rules()
+
+
+def silent(message: str) -> None:
+    """Say nothing."""
+
+
+def run_pass(log: FieldLog, settings: RunSettings = RunSettings(), say: Say = silent) -> PassResult:
+    """The chain for one pass: fuse, replay and compare, judge.
+
+    Raises the stages' own errors, each one line: what, where, how to mend.
+    """
+    manifest = log.manifest
+    say("fusing the sensors")
+    motion = fuse(log, settings.fusion)
+    say("replaying the model")
+    comparison = compare(motion, machine_of(log), manifest, settings.replay)
+    verdict = judge_pass(comparison.statistics, settings.rules)
+    return PassResult(
+        manifest=manifest,
+        manifest_text=log.manifest_text,
+        motion=motion,
+        rows=comparison.found,
+        simulated=findings.simulated_columns(motion, comparison),
+        comparison=findings.comparison_columns(comparison),
+        metrics=findings.metrics_of(
+            manifest,
+            motion,
+            comparison,
+            verdict,
+            warnings=log.warnings,
+            health=log.health,
+            provenance=provenance(log, settings),
+        ),
+    )
+
+
+def machine_of(log: FieldLog) -> Machine:
+    """The pass's machine, at the pass's tyre pressure."""
+    return Machine.from_mapping(log.manifest.machine.model_dump(), log.manifest.operating.tyre_pressure_mpa)
+
+
+def provenance(log: FieldLog, settings: RunSettings) -> dict[str, Any]:
+    """What a result came from: digests of inputs, versions, options; nothing that differs between two runs."""
+    return {
+        "source": Path(log.source).name,
+        "source_sha256": log.sha256,
+        "manifest_sha256": hashlib.sha256(log.manifest_text.encode()).hexdigest(),
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+        "options": asdict(settings),
+    }
+
+
+def compute(
+    source: Path,
+    out: Path,
+    manifest: Path | None = None,
+    settings: RunSettings = RunSettings(),
+    fingerprint: str | None = None,
+    say: Say = silent,
+) -> PassResult:
+    """Run a pass from its files to its results folder, which appears whole or not at all.
+
+    Parameters
+    ----------
+    source : a raw pass's folder, or a log
+    out : results folder
+    manifest : run.toml for a log that carries none
+    fingerprint : digest of inputs, options and program, kept in the result for a batch that goes on
+    """
+    say(f"reading {source}")
+    result = run_pass(read_source(source, manifest), settings, say)
+    if fingerprint is not None:
+        result = with_provenance(result, {"fingerprint": fingerprint})
+    say("writing the reports")
+    write_result(out, result)
+    return result
+
+
+def with_provenance(result: PassResult, more: Mapping[str, Any]) -> PassResult:
+    """The same result with more said about where it came from."""
+    known = {**result.metrics.get("provenance", {}), **more}
+    return replace(result, metrics={**result.metrics, "provenance": known})
+
+
+def run_to_folder(source: Path, out: Path | None, manifest: Path | None, say: Say = silent) -> dict[str, Any]:
+    """Run one pass into `out` (results/<run.id> by default); the head of its metrics, and its report."""
+    say(f"reading {source}")
+    log = read_source(source, manifest)
+    folder = Path("results") / log.manifest.run.id if out is None else out
+    result = run_pass(log, RunSettings(), say)
+    say("writing the reports")
+    write_result(folder, result)
+    return {**headline(result.metrics), "out": str(folder), "report": str(folder / "report.html")}
+
+
+def headline(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """What a person or a script wants first of metrics.json."""
+    return {key: metrics[key] for key in ("schema", "run", "verdict", "discrepancy", "warnings")}
+
+
 def read_source(source: Path, manifest: Path | None = None) -> FieldLog:
     """The streams of a raw pass's folder (it has a run.toml) or of a log (an MCAP file, a rosbag2 folder)."""
-    from ..sensors.ingest import read_pass
-    from ..sensors.log import read_log
-
     if not source.exists():
         raise SourceError(f"{source}: there is no such file or folder; give a log or a raw pass's folder")
-    if source.is_dir() and (source / "run.toml").is_file():
+    if source.is_dir() and manifest is None and (source / "run.toml").is_file():
         return read_pass(source)
     return read_log(source, manifest)
 
 
 def ingest_pass(folder: Path, logs: Path) -> dict[str, Any]:
     """Turn one raw pass into `logs/<run.id>.mcap`; what was found on the way, as plain values."""
-    from ..sensors.ingest import read_pass
-    from ..sensors.log import write_log
-
+    if not folder.is_dir():
+        raise SourceError(f"{folder}: is not a folder; a raw pass is a folder with a run.toml")
     log = read_pass(folder)
     path = logs / f"{log.manifest.run.id}.mcap"
     logs.mkdir(parents=True, exist_ok=True)
@@ -42,8 +159,7 @@ def ingest_pass(folder: Path, logs: Path) -> dict[str, Any]:
 
 def inspect_log(source: Path, manifest: Path | None = None) -> dict[str, Any]:
     """What is in a log (or a raw pass): health by sensor, and what was wrong."""
-    log = read_source(source, manifest)
-    return {"log": str(source), **describe_log(log)}
+    return {"log": str(source), **describe_log(read_source(source, manifest))}
 
 
 def describe_log(log: FieldLog) -> dict[str, Any]:
@@ -54,10 +170,3 @@ def describe_log(log: FieldLog) -> dict[str, Any]:
         "health": dict(log.health),
         "warnings": [asdict(warning) for warning in log.warnings],
     }
-
-
-@dataclass(frozen=True)
-class RunSettings:
-    """Options of one pass that its result depends on."""
-
-    engine: str = "compiled"
