@@ -204,6 +204,8 @@ def simulate_batch(
             raise SimulationError(
                 f"{name} has {len(given)} entries for {len(state)} runs; give one, or one a run"
             )
+    if len({m.seeder is None for m in many}) > 1:
+        raise SimulationError("machines must all have a seeder or none")
     change = _changes(
         len(state), start, steer_offset, steer_scale, speed_scale, speed_offset, steer_row, force_row
     )
@@ -217,7 +219,7 @@ def simulate_batch(
         np.stack([pack_driver(d, step) for d in who]),
         change, tables, pack_options(settings), step, every, _memory(state, tables), out, good,
     )  # fmt: skip
-    return batch_run(many[0], change[:, at.START, None] + spacing * np.arange(samples), out, good)
+    return batch_run(many, change[:, at.START, None] + spacing * np.arange(samples), out, good)
 
 
 def _changes(runs: int, *columns: ArrayLike) -> Floats:
@@ -246,7 +248,7 @@ def _memory(state: Floats, tables: at.Tables) -> Floats:
     return memory
 
 
-def batch_run(machine: Machine, t: Floats, out: Floats, good: Floats) -> BatchRun:
+def batch_run(machines: Sequence[Machine], t: Floats, out: Floats, good: Floats) -> BatchRun:
     """Body-frame quantities of both bodies from output samples (runs, n, 13), of which `good` are good in
     each."""
     last = np.minimum(good, t.shape[1] - 1).astype(int)
@@ -259,8 +261,9 @@ def batch_run(machine: Machine, t: Floats, out: Floats, good: Floats) -> BatchRu
     }  # fmt: skip
     names = ("x2", "y2", "yaw2", "v2", "v_lateral2", "yaw_rate2", "ax2", "ay2")
     second: dict[str, Any] = dict.fromkeys(names)
-    if machine.seeder is not None:
-        l4, l5 = machine.tractor.hitch, machine.seeder.hitch_to_com
+    if machines[0].seeder is not None:
+        l4 = np.array([m.tractor.hitch for m in machines])[:, None]
+        l5 = np.array([0.0 if m.seeder is None else m.seeder.hitch_to_com for m in machines])[:, None]
         vx2, vy2 = vx1 + l4 * s1 * w1 + l5 * s2 * w2, vy1 - l4 * c1 * w1 - l5 * c2 * w2
         ax2 = ax1 + l4 * (s1 * alpha1 + c1 * w1**2) + l5 * (s2 * alpha2 + c2 * w2**2)
         ay2 = ay1 - l4 * (c1 * alpha1 - s1 * w1**2) - l5 * (c2 * alpha2 - s2 * w2**2)

@@ -125,4 +125,4 @@ def simulate_trailed_batch(
         np.ascontiguousarray(table), tables, np.array(columns[3]), pack_options(settings),
         spacing / every, every, out, good,
     )  # fmt: skip
-    return batch_run(many[0], np.array(columns[2])[:, None] + spacing * np.arange(samples), out, good)
+    return batch_run(many, np.array(columns[2])[:, None] + spacing * np.arange(samples), out, good)
