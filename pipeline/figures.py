@@ -16,12 +16,13 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from . import figures_style as style
 from .report_blocks import Chart, Curve, Equation, Panel
 
 WIDTH_MM = 174.0
-PANEL_MM = 48.0
+PANEL_MM = (46.0, 38.0, 32.0, 27.0)  # height of a panel in a chart of one, two, three, four and more
 FRAME_MM = 17.0  # room for the x label and ticks
 LEGEND_MM = 6.0
 MM = 1.0 / 25.4
@@ -42,7 +43,8 @@ def height_mm(chart: Chart) -> float:
     """Height of the drawn chart, mm."""
     if chart.to_scale:
         return _map_height(chart)
-    return PANEL_MM * len(chart.panels) + FRAME_MM - 6.0
+    panels = len(chart.panels)
+    return PANEL_MM[min(panels, len(PANEL_MM)) - 1] * panels + FRAME_MM - LEGEND_MM
 
 
 def draw(chart: Chart) -> Figure:
@@ -58,7 +60,8 @@ def draw(chart: Chart) -> Figure:
                 axes.set_xlabel(chart.x_label)
             else:
                 axes.tick_params(labelbottom=False)
-        _share_x(figure)
+        if not chart.to_scale:
+            _share_x(figure)
     return figure
 
 
@@ -79,9 +82,8 @@ def _share_x(figure: Figure) -> None:
 def _draw_panel(axes: Axes, chart: Chart, panel: Panel) -> None:
     handles = [handle for curve in panel.curves for handle in _draw_curve(axes, curve)]
     for value, label in panel.levels:
-        handles.append(
-            axes.axhline(value, color=style.LIGHT["reference"], linewidth=0.9, linestyle=":", label=label)
-        )
+        level = axes.axhline(value, color=style.LIGHT["reference"], linewidth=0.9, linestyle=":", label=label)
+        handles += [level] if label else []
     axes.set_ylabel(panel.y_label)
     if chart.log_x:
         axes.set_xscale("log")
@@ -89,6 +91,8 @@ def _draw_panel(axes: Axes, chart: Chart, panel: Panel) -> None:
         axes.set_yscale("log")
     if chart.to_scale:
         axes.set_aspect("equal", adjustable="datalim")
+    if any(curve.style == "bars" for curve in panel.curves):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.margins(x=0.01)
     axes.legend(
         handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=6, borderaxespad=0.1,
@@ -103,11 +107,13 @@ def _draw_curve(axes: Axes, curve: Curve) -> list[Line2D | Patch]:
         width = 0.8 * float(np.diff(curve.x).min()) if curve.x.size > 1 else 0.5
         axes.bar(curve.x, curve.y, width, color=colour)
         return [Patch(color=colour, label=curve.name)]
-    marker = {"marker": "o", "markersize": 3.0, "linestyle": "none"} if curve.style == "points" else {}
-    line = {"linestyle": DASHES[curve.style]} if curve.style in DASHES else {}
-    (drawn,) = axes.plot(curve.x, curve.y, color=colour, label=curve.name, **marker, **line)
-    if curve.name:
-        handles.append(drawn)
+    if curve.style != "none":
+        line = (
+            {"linestyle": "none"} if curve.style == "points" else {"linestyle": DASHES.get(curve.style, "-")}
+        )
+        mark = {"marker": "o", "markersize": 3.0} if curve.style in {"points", "marked"} else {}
+        (drawn,) = axes.plot(curve.x, curve.y, color=colour, label=curve.name, **line, **mark)
+        handles += [drawn] if curve.name else []
     if curve.low is not None and curve.high is not None:
         if curve.style == "points":
             axes.vlines(curve.x, curve.low, curve.high, color=colour, linewidth=0.9)

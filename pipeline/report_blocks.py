@@ -15,7 +15,7 @@ Role = Literal[
     "measured", "simulated", "measured2", "simulated2", "residual", "null", "tractor", "seeder",
     "reference", "third", "fourth",
 ]  # fmt: skip
-Style = Literal["line", "dash", "dots", "points", "bars"]
+Style = Literal["line", "dash", "dots", "points", "marked", "bars", "none"]
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,8 @@ class Table:
 class Curve:
     """One curve of a panel: y over x, with an optional band low to high; x and y (N,), NaN breaks the line.
 
-    role says what it is, and so its colour in every rendering; style how it is drawn.
+    role says what it is, and so its colour in every rendering; style how it is drawn: "marked" is a line with
+    a mark at each point, "none" draws the band alone.
     """
 
     name: str

@@ -52,7 +52,7 @@ def chart_json(thinned: style.Thinned) -> str:
     value = {
         "key": chart.key,
         "x_label": chart.x_label,
-        "x_short": chart.x_label,
+        "x_short": chart.x_label.split(",")[0].split(" ")[0],
         "x_digits": _digits(np.concatenate([c.x for p in chart.panels for c in p.curves])),
         "log_x": chart.log_x,
         "panels": [_panel(panel) for panel in chart.panels],
@@ -86,6 +86,10 @@ def _panel(panel: Panel) -> dict[str, Any]:
         ],
         "data": [_rounded(x), *(_rounded(_on(x, column)) for column in columns)],
     }
+
+
+def _label(curve: Curve) -> str:
+    return f"{curve.name} ({curve.band_name})" if curve.band_name else curve.name
 
 
 def _columns(curve: Curve) -> list[_Column]:

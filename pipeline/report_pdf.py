@@ -164,14 +164,25 @@ def _numbers(sheet: _Sheet, head: Head) -> None:
 
 
 def _section(sheet: _Sheet, section: Section, pictures: dict[str, Picture]) -> None:
-    first = section.blocks[0] if section.blocks else None
-    _room(sheet, 24.0 + (_figure_height(first, pictures) if isinstance(first, Chart) else 0.0))
+    _room(sheet, 24.0 + _opening_height(section.blocks, pictures))
     sheet.ln(5.0)
     sheet.start_section(section.title)
     _write(sheet, section.title, 12.5, "B")
     sheet.ln(1.5)
     for block in section.blocks:
         _block(sheet, block, pictures)
+
+
+def _opening_height(blocks: Sequence[Block], pictures: dict[str, Picture]) -> float:
+    """Height of a section's first words with the figure that follows them: they are not torn apart."""
+    words = 0.0
+    for block in blocks[:3]:
+        if isinstance(block, Chart):
+            return words + _figure_height(block, pictures)
+        if not isinstance(block, Text | Missing):
+            break
+        words += 4.6 * (1 + len(block.text) // 100) + 1.5
+    return 0.0
 
 
 def _figure_height(chart: Chart, pictures: dict[str, Picture]) -> float:
@@ -247,7 +258,7 @@ def _widths(sheet: _Sheet, table: Table) -> list[float]:
         max(_text_width(sheet, row[column]) for row in (table.columns, *table.rows) if column < len(row))
         for column in range(len(table.columns))
     ]
-    return [min(max(width + 4.0, 12.0), 0.6 * TEXT_WIDTH) for width in longest]
+    return [min(max(1.12 * width + 4.0, 12.0), 0.5 * TEXT_WIDTH) for width in longest]
 
 
 def _text_width(sheet: _Sheet, text: str) -> float:

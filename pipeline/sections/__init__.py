@@ -12,13 +12,17 @@ from typing import Protocol
 from ..report_blocks import Section
 from ..report_view import PassView
 from . import (
+    alignment,
+    companions,
     conditions,
     consistency,
+    discrepancies,
     ground_map,
     health,
     inputs,
     methods,
     provenance,
+    residuals,
     trajectories,
     yaw,
 )
@@ -35,6 +39,10 @@ class SectionModule(Protocol):
 SECTIONS: tuple[SectionModule, ...] = (
     trajectories,
     yaw,
+    residuals,
+    discrepancies,
+    alignment,
+    companions,
     inputs,
     ground_map,
     consistency,

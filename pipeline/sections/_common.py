@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..report_blocks import Role
 from ..report_view import PassView
 
 Floats = NDArray[np.float64]
@@ -21,7 +22,7 @@ def number(value: Any, digits: int = 2, unit: str = "", absent: str = "–") -> 
     if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
         return absent
     text = f"{value:.{digits}f}".replace("-", "−")
-    return f"{text} {unit}" if unit else text
+    return text + (unit if unit == "°" else f" {unit}" if unit else "")
 
 
 def percent(value: Any, digits: int = 1) -> str:
@@ -49,13 +50,39 @@ def distance_label(view: PassView) -> str:
     return "distance along the row, m" if rows <= 1 else f"distance along the {rows} rows, joined, m"
 
 
-def joined_rows(rows: NDArray[Any], s: Floats) -> Floats:
-    """Distance with the rows laid end to end, `ROW_GAP` apart; NaN outside rows."""
-    joined = np.full(s.size, np.nan)
-    offset = 0.0
-    for row in np.unique(rows[rows >= 0]):
-        inside = rows == row
-        low, high = np.nanmin(s[inside]), np.nanmax(s[inside])
-        joined[inside] = s[inside] - low + offset
-        offset += high - low + ROW_GAP
-    return joined
+RESPONSES = {
+    "deviation1": "deviation, tractor",
+    "deviation2": "deviation, seeder",
+    "yaw1": "turning angle, tractor",
+    "yaw2": "turning angle, seeder",
+}
+ROLES: dict[str, Role] = {
+    "deviation1": "measured",
+    "deviation2": "simulated",
+    "yaw1": "third",
+    "yaw2": "fourth",
+}
+
+
+def responses_of(view: PassView) -> tuple[str, ...]:
+    """Responses that were compared, in a fixed order."""
+    found = view.metrics.get("responses") or {}
+    return tuple(name for name in RESPONSES if name in found)
+
+
+def small(value: Any, response: str, digits: int = 2) -> str:
+    """A length in cm or an angle in degrees, from m or rad."""
+    if not isinstance(value, int | float):
+        return number(value)
+    return (
+        number(np.rad2deg(value), digits + 1, "°")
+        if response.startswith("yaw")
+        else number(100.0 * value, digits, "cm")
+    )
+
+
+def interval(ends: Any, unit: str = "%") -> str:
+    """`4.0 to 9.5 %`, a dash where there is none."""
+    if not ends or not all(isinstance(end, int | float) for end in ends):
+        return "–"
+    return f"{number(ends[0], 1)} to {number(ends[1], 1, unit)}"

@@ -17,17 +17,29 @@
     };
   }
 
+  function bars(panel) {
+    return panel.curves.some((curve) => curve.style === "bars");
+  }
+
+  function xAxis(chart, index) {
+    const last = index === chart.panels.length - 1;
+    const found = axis(last ? chart.x_label : null, last ? 46 : 26);
+    if (bars(chart.panels[index])) found.incrs = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
+    return found;
+  }
+
   function series(curve) {
-    if (curve.hidden) {
-      return { label: curve.name, stroke: "transparent", width: 0, points: { show: false }, _legend: false };
+    if (curve.hidden || curve.style === "none") {
+      const stroke = curve.hidden ? "transparent" : () => colour("c-" + curve.role);
+      return { label: curve.name, stroke: stroke, width: 0, points: { show: false }, value: () => "" };
     }
-    const points = curve.style === "points";
+    const points = curve.style === "points", marked = points || curve.style === "marked";
     return {
       label: curve.name, stroke: () => colour("c-" + curve.role), width: points ? 0 : 1.6, spanGaps: false,
-      dash: curve.style === "dash" ? [7, 4] : undefined,
+      dash: { dash: [7, 4], dots: [2, 4] }[curve.style],
       paths: curve.style === "bars" ? uPlot.paths.bars({ size: [0.8, 60] }) : points ? () => null : undefined,
       fill: curve.style === "bars" ? () => faded("c-" + curve.role) : undefined,
-      points: { show: points, size: 7, fill: () => colour("c-" + curve.role) },
+      points: { show: marked, size: 7, fill: () => colour("c-" + curve.role) },
       value: (u, v) => shown(v, curve.digits),
     };
   }
@@ -53,14 +65,14 @@
   function options(chart, index, width, group) {
     const panel = chart.panels[index];
     return {
-      width: width, height: 250, pxAlign: true,
+      width: width, height: index === chart.panels.length - 1 ? 250 : 230, pxAlign: true,
       cursor: { sync: { key: chart.key, scales: ["x", null] }, drag: { x: true, y: false, setScale: true }, focus: { prox: 24 } },
       legend: { live: true },
       scales: {
-        x: { time: false, distr: chart.log_x ? 3 : 1 },
+        x: { time: false, distr: chart.log_x ? 3 : 1, range: (u, low, high) => [low, high] },
         y: { distr: panel.log_y ? 3 : 1, range: panel.log_y ? undefined : (u, low, high) => margins(low, high, panel) },
       },
-      axes: [axis(chart.x_label, 46), axis(panel.y_label, width < 480 ? 48 : 58)],
+      axes: [xAxis(chart, index), axis(panel.y_label, width < 480 ? 48 : 58)],
       series: [{ label: chart.x_short, value: (u, v) => shown(v, chart.x_digits) }].concat(panel.curves.map(series)),
       bands: panel.bands.map(([high, low, role]) => ({ series: [high + 1, low + 1], fill: () => faded("c-" + role) })),
       hooks: {
@@ -71,6 +83,7 @@
   }
 
   function margins(low, high, panel) {
+    if (bars(panel)) { low = Math.min(low, 0); high = Math.max(high, 0); }
     panel.levels.forEach(([value]) => { low = Math.min(low, value); high = Math.max(high, value); });
     const room = (high - low || Math.abs(high) || 1) * 0.06;
     return [low - room, high + room];
@@ -89,7 +102,8 @@
       this.plots.push(plot);
     });
     const xs = this.plots.map((plot) => plot.data[0]);
-    this.full = [Math.min(...xs.map((x) => x[0])), Math.max(...xs.map((x) => x[x.length - 1]))];
+    const pad = chart.panels.some(bars) ? 0.6 : 0;
+    this.full = [Math.min(...xs.map((x) => x[0])) - pad, Math.max(...xs.map((x) => x[x.length - 1])) + pad];
     figure.querySelectorAll(".tools button").forEach((button) =>
       button.addEventListener("click", () => this.act(button.dataset.act)));
     this.holder.addEventListener("keydown", (event) => this.key(event));
@@ -157,7 +171,7 @@
     addEventListener("resize", () => {
       clearTimeout(waiting);
       waiting = setTimeout(() => all.forEach((group) =>
-        group.plots.forEach((plot) => plot.setSize({ width: group.width(), height: 250 }))), 120);
+        group.plots.forEach((plot) => plot.setSize({ width: group.width(), height: plot.height }))), 120);
     });
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () =>
       all.forEach((group) => group.plots.forEach((plot) => plot.redraw())));
