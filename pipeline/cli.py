@@ -63,7 +63,7 @@ def progress(message: str) -> None:
 def ingest(passes: tuple[Path, ...], logs: Path, as_json: bool) -> None:
     """Turn raw PASSES (folders with a run.toml) into logs, <run.id>.mcap in the folder of -o."""
     from . import console
-    from .run import ingest_pass
+    from .source import ingest_pass
 
     tables = []
     for folder in passes:
@@ -79,7 +79,7 @@ def ingest(passes: tuple[Path, ...], logs: Path, as_json: bool) -> None:
 def inspect(log: Path, manifest: Path | None, as_json: bool) -> None:
     """Show what is in a LOG: rates, gaps, clock drift, fix quality."""
     from . import console
-    from .run import inspect_log
+    from .source import inspect_log
 
     emit(inspect_log(log, manifest), as_json, console.inspected)
 

@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from ..model.machine import Machine
-from ..sensors.ingest import read_pass
-from ..sensors.log import read_log, write_log
 from ..sensors.streams import FieldLog
 from . import findings
 from .adequacy import Rules, judge_pass
@@ -20,14 +18,12 @@ from .compare import compare
 from .fusion.fuse import fuse
 from .fusion.settings import FusionSettings
 from .replay import ReplaySettings
+from .report import finish
 from .result import PassResult, write_result
+from .source import read_source
 
 Say = Callable[[str], None]
 PACKAGES = ("smts-validate", "numpy", "scipy", "numba", "pandas", "pyarrow", "filterpy", "pymap3d", "mcap")
-
-
-class SourceError(ValueError):
-    """A path that holds neither a raw pass nor a log."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +75,7 @@ def machine_of(log: FieldLog) -> Machine:
 
 
 def provenance(log: FieldLog, settings: RunSettings) -> dict[str, Any]:
-    """What a result came from: digests of inputs, versions, options; nothing that differs between two runs."""
+    """What a result came from: digests of inputs, versions, options; nothing that two runs differ in."""
     return {
         "source": Path(log.source).name,
         "source_sha256": log.sha256,
@@ -111,7 +107,7 @@ def compute(
     if fingerprint is not None:
         result = with_provenance(result, {"fingerprint": fingerprint})
     say("writing the reports")
-    write_result(out, result)
+    write_result(out, result, finish)
     return result
 
 
@@ -128,45 +124,10 @@ def run_to_folder(source: Path, out: Path | None, manifest: Path | None, say: Sa
     folder = Path("results") / log.manifest.run.id if out is None else out
     result = run_pass(log, RunSettings(), say)
     say("writing the reports")
-    write_result(folder, result)
+    write_result(folder, result, finish)
     return {**headline(result.metrics), "out": str(folder), "report": str(folder / "report.html")}
 
 
 def headline(metrics: Mapping[str, Any]) -> dict[str, Any]:
     """What a person or a script wants first of metrics.json."""
     return {key: metrics[key] for key in ("schema", "run", "verdict", "discrepancy", "warnings")}
-
-
-def read_source(source: Path, manifest: Path | None = None) -> FieldLog:
-    """The streams of a raw pass's folder (it has a run.toml) or of a log (an MCAP file, a rosbag2 folder)."""
-    if not source.exists():
-        raise SourceError(f"{source}: there is no such file or folder; give a log or a raw pass's folder")
-    if source.is_dir() and manifest is None and (source / "run.toml").is_file():
-        return read_pass(source)
-    return read_log(source, manifest)
-
-
-def ingest_pass(folder: Path, logs: Path) -> dict[str, Any]:
-    """Turn one raw pass into `logs/<run.id>.mcap`; what was found on the way, as plain values."""
-    if not folder.is_dir():
-        raise SourceError(f"{folder}: is not a folder; a raw pass is a folder with a run.toml")
-    log = read_pass(folder)
-    path = logs / f"{log.manifest.run.id}.mcap"
-    logs.mkdir(parents=True, exist_ok=True)
-    write_log(path, log)
-    return {"log": str(path), **describe_log(log)}
-
-
-def inspect_log(source: Path, manifest: Path | None = None) -> dict[str, Any]:
-    """What is in a log (or a raw pass): health by sensor, and what was wrong."""
-    return {"log": str(source), **describe_log(read_source(source, manifest))}
-
-
-def describe_log(log: FieldLog) -> dict[str, Any]:
-    """A log's run table, health and warnings as plain values."""
-    return {
-        "run": log.manifest.run.model_dump(mode="json"),
-        "sha256": log.sha256,
-        "health": dict(log.health),
-        "warnings": [asdict(warning) for warning in log.warnings],
-    }

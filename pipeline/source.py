@@ -1,0 +1,50 @@
+"""A pass from where it lies: a raw folder or a log; and what `ingest` and `inspect` say of it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ..sensors.ingest import read_pass
+from ..sensors.log import read_log, write_log
+from ..sensors.streams import FieldLog
+
+
+class SourceError(ValueError):
+    """A path that holds neither a raw pass nor a log."""
+
+
+def read_source(source: Path, manifest: Path | None = None) -> FieldLog:
+    """The streams of a raw pass's folder (it has a run.toml) or of a log (an MCAP file, a rosbag2 folder)."""
+    if not source.exists():
+        raise SourceError(f"{source}: there is no such file or folder; give a log or a raw pass's folder")
+    if source.is_dir() and manifest is None and (source / "run.toml").is_file():
+        return read_pass(source)
+    return read_log(source, manifest)
+
+
+def ingest_pass(folder: Path, logs: Path) -> dict[str, Any]:
+    """Turn one raw pass into `logs/<run.id>.mcap`; what was found on the way, as plain values."""
+    if not folder.is_dir():
+        raise SourceError(f"{folder}: is not a folder; a raw pass is a folder with a run.toml")
+    log = read_pass(folder)
+    path = logs / f"{log.manifest.run.id}.mcap"
+    logs.mkdir(parents=True, exist_ok=True)
+    write_log(path, log)
+    return {"log": str(path), **describe_log(log)}
+
+
+def inspect_log(source: Path, manifest: Path | None = None) -> dict[str, Any]:
+    """What is in a log (or a raw pass): health by sensor, and what was wrong."""
+    return {"log": str(source), **describe_log(read_source(source, manifest))}
+
+
+def describe_log(log: FieldLog) -> dict[str, Any]:
+    """A log's run table, health and warnings as plain values."""
+    return {
+        "run": log.manifest.run.model_dump(mode="json"),
+        "sha256": log.sha256,
+        "health": dict(log.health),
+        "warnings": [asdict(warning) for warning in log.warnings],
+    }
