@@ -1,0 +1,162 @@
+"""From the last sweep to `Motion`: centres of mass in UTC, draws, steering, consistency, calibration, warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from ...sensors.streams import Warn
+from ..wheels import WheelMotion, choose_steer_input
+from . import output
+from . import state as s
+from .consistency import assess, innovations
+from .draws import posterior_errors
+from .engine_compiled import Filtered, Smoothed
+from .filtering import unpack
+from .known import Known
+from .motion import Motion
+from .prepare import STEP
+from .problem import Problem
+from .settings import FusionSettings, Levels
+from .steering import best_steering
+
+Floats = NDArray[np.float64]
+
+LONG = 60_000  # nodes: longer passes get half the draws
+CRAB = 0.25  # constant crab, unseen, as a share of the slip angle's standard deviation
+OUTAGE = 2.0  # s without an accepted position that is worth a warning
+
+
+def assemble(
+    known: Known, options: FusionSettings, levels: Levels, free: tuple[str, ...], task: Problem, filtered: Filtered,
+    smooth: Smoothed, wheels: Mapping[str, WheelMotion], jumps: int,
+) -> Motion:  # fmt: skip
+    """The pass's `Motion` from the last filter and smoother."""
+    lag = float(smooth.x[-1, s.LAG])
+    t = output.utc_grid(known.t, lag)
+    p = task.parameters
+    tilt2 = (known.nodes[:, s.N_ROLL2], known.nodes[:, s.N_PITCH2])
+    at = output.at_utc(known.t, t, lag, smooth.x, smooth.P, tilt2)
+    lateral1, lateral2 = (np.interp(t + lag, known.t, a) for a in lateral_accelerations(known, smooth.x))
+    tractor = output.tractor_motion(at, p, CRAB * levels.beta1, lateral1)
+    seeder = output.seeder_motion(at, p, CRAB * levels.beta2, lateral2) if known.two is not None else None
+    draw_t, draws = _draws(known, options, task, filtered, smooth, lag)
+    given = choose_steer_input(known.log, t + lag, wheels)
+    steer, sd_steer = best_steering(t, tractor, given, known.log.manifest.machine.tractor.front_axle, levels.beta1)
+    consistency = assess(task.measurements, filtered)
+    gnss_t = accepted_times(task, filtered)
+    return Motion(
+        t=t, origin=known.origin, tractor=tractor, seeder=seeder, steer=steer, sd_steer=sd_steer, steer_input=given,
+        draw_t=draw_t, draws=draws, gnss_t=gnss_t, consistency=consistency,
+        consistent=all(c.consistent for c in consistency), noise=noise_table(known, levels, free, p),
+        calibration=calibration(smooth.x[-1], filtered.P[-1], known, wheels),
+        innovations=innovations(task.measurements, filtered, known.t - lag),
+        warnings=warnings_of(known, gnss_t, t, consistency, jumps, wheels),
+    )  # fmt: skip
+
+
+def lateral_accelerations(known: Known, x: Floats) -> tuple[Floats, Floats]:
+    """Lateral acceleration (N,), m/s², of both CoMs: the units' force levelled and moved there; zeros without a body."""
+    one = _levelled_lateral(known.one.node_force, x[:, s.ROLL], x[:, s.BAY])
+    one = one + known.log.manifest.machine.tractor.rear_axle * _slope(known.nodes[:, s.U_WZ])
+    if known.two is None or known.log.manifest.machine.seeder is None:
+        return one, np.zeros(known.t.size)
+    two = _levelled_lateral(known.two.node_force, known.nodes[:, s.N_ROLL2], 0.0)
+    axle = float(np.mean(known.log.manifest.machine.seeder.axles))
+    return one, two + axle * _slope(known.nodes[:, s.U_W2])
+
+
+def _levelled_lateral(force: Floats, roll: Floats, bias: Floats | float) -> Floats:
+    return np.asarray(np.cos(roll) * (force[:, 1] - bias) - np.sin(roll) * force[:, 2])
+
+
+def _slope(rate: Floats) -> Floats:
+    return np.asarray(savgol_filter(rate, 5, 2, deriv=1, delta=STEP))
+
+
+def _draws(
+    known: Known, options: FusionSettings, task: Problem, filtered: Filtered, smooth: Smoothed, lag: float
+) -> tuple[Floats, Floats]:
+    """Instants (UTC) and draws of the bodies' errors."""
+    count = options.draws if known.t.size <= LONG else max(options.draws // 2, 1)
+    when, error = posterior_errors(task, filtered, smooth.x, count, options.seed)
+    tilt2 = (known.nodes[:, s.N_ROLL2], known.nodes[:, s.N_PITCH2])
+    every = output.at_utc(known.t, when - lag, lag, smooth.x, smooth.P, tilt2)
+    return when - lag, output.body_draws(error, every, task.parameters, known.two is not None)
+
+
+def accepted_times(task: Problem, f: Filtered) -> Floats:
+    """UTC of the accepted positions of the main receiver, s."""
+    q = task.measurements
+    m = np.flatnonzero(((q.kind == s.FIXED_X) | (q.kind == s.FLOAT_X)) & f.used)
+    return np.asarray(np.unique(task.t[0] + q.node[m] * STEP + q.ahead[m]))
+
+
+def calibration(x: Floats, packed: Floats, known: Known, wheels: Mapping[str, WheelMotion]) -> dict[str, Any]:
+    """Estimated constants with standard deviations at the end of the pass."""
+    P = np.empty((s.SIZE, s.SIZE))
+    unpack(packed, P)
+    units = {
+        "lag": (s.LAG, "s"), "gyro_bias_x": (s.BGX, "rad/s"), "gyro_bias_y": (s.BGY, "rad/s"),
+        "gyro_bias_z": (s.BGZ, "rad/s"), "accel_bias_x": (s.BAX, "m/s2"), "accel_bias_y": (s.BAY, "m/s2"),
+    }  # fmt: skip
+    if known.two is not None:
+        units["gyro_bias_z_seeder"] = (s.BGZ2, "rad/s")
+    if known.wheel is not None:
+        units["wheel_scale"] = (s.KAPPA, "1")
+    out: dict[str, Any] = {
+        name: {"value": float(x[i]), "sd": float(np.sqrt(max(P[i, i], 0.0))), "unit": unit}
+        for name, (i, unit) in units.items()
+    }
+    for name, wheel in wheels.items():
+        out[name] = {key: {"value": v, "sd": sd} for key, (v, sd) in wheel.calibration.items()}
+    return out
+
+
+def noise_table(known: Known, levels: Levels, free: tuple[str, ...], p: Floats) -> dict[str, dict[str, Any]]:
+    """Every noise figure with its source."""
+    table: dict[str, dict[str, Any]] = {name: dict(v) for name, v in known.one.noise.items()}
+    if known.two is not None:
+        table |= {name: dict(v) for name, v in known.two.noise.items()}
+    for e in known.epochs:
+        table[e.name] = {
+            "position": {
+                "value": float(np.median(e.sd)), "unit": "m",
+                "source": "receiver (GST)" if e.stated else "assumed by fix quality",
+            },
+            "slow_part": {"value": float(p[s.P_SD_E if e.first else s.P_SD_G]), "unit": "m", "source": "what is not white"},
+        }  # fmt: skip
+    table["levels"] = {
+        name: {"value": float(getattr(levels, name)), "source": "innovations" if name in free else "assumed"}
+        for name in ("beta1", "beta2", "white_fixed", "white_float", "velocity", "lateral", "hitch", "wheel")
+    }
+    return table
+
+
+def warnings_of(
+    known: Known, gnss_t: Floats, t: Floats, consistency: tuple[Any, ...], jumps: int, wheels: Mapping[str, WheelMotion]
+) -> tuple[Warn, ...]:
+    """What a reader must know of this pass's fusion."""
+    out: list[Warn] = [w for wheel in wheels.values() for w in wheel.warnings]
+    main = known.epochs[0]
+    if not main.stated:
+        out.append(Warn("the receiver states no accuracy (GST)", "assumed by fix quality and HDOP", main.name))
+    loose = float((~main.fixed).mean())
+    if loose > 0.01:
+        out.append(Warn(f"{100 * loose:.0f} % of the positions are not RTK fixed", "weighted by their own doubt", main.name))
+    edges = np.concatenate([[t[0]], gnss_t, [t[-1]]])
+    longest = float(np.diff(edges).max())
+    if longest > OUTAGE:
+        out.append(Warn(f"{longest:.1f} s without a position", "bridged by gyros and wheels, with growing doubt", main.name))
+    if jumps:
+        out.append(Warn(f"fixed positions jumped {jumps} times", "taken as new slow errors of the receiver", main.name))
+    if known.bias is None:
+        out.append(Warn("no rest in the pass", "gyro biases rest on course over ground alone"))
+    bad = [c.channel for c in consistency if not c.consistent]
+    if bad:
+        out.append(Warn("innovations are not what the filter states: " + ", ".join(bad), "the verdict's guard widens"))
+    return tuple(out)

@@ -1,0 +1,134 @@
+"""Posterior draws of the smoother's error across time (simulation smoother of Durbin and Koopman 2002).
+
+A path simulated from the prior and the noises, less its own smoothed estimate, is a draw from the posterior of
+the error. The gains do not depend on data, so all draws share the stored forward pass.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .engine_compiled import Filtered
+from .filtering import PATTERN, unpack
+from .kernels import process_noise, transition
+from .prepare import STEP
+from .problem import Problem
+from .state import EX, EY, FX, FY, SIZE
+
+Floats = NDArray[np.float64]
+
+EVERY = 5  # nodes between draws' instants: 10 Hz
+
+
+@njit(cache=True)
+def _step(F, d, out):  # type: ignore[no-untyped-def]
+    """F·d for the columns of d (SIZE, K), skipping structural zeros."""
+    for i in range(SIZE):
+        for c in range(d.shape[1]):
+            out[i, c] = F[i, i] * d[i, c]
+    for e in range(PATTERN.shape[0]):
+        i, m = PATTERN[e, 0], PATTERN[e, 1]
+        f = F[i, m]
+        for c in range(d.shape[1]):
+            out[i, c] += f * d[m, c]
+
+
+@njit(cache=True)
+def _adjoint_step(F, lam, out):  # type: ignore[no-untyped-def]
+    """Fᵀ·lambda for the columns of lambda (SIZE, K)."""
+    for i in range(SIZE):
+        for c in range(lam.shape[1]):
+            out[i, c] = F[i, i] * lam[i, c]
+    for e in range(PATTERN.shape[0]):
+        m, i = PATTERN[e, 0], PATTERN[e, 1]
+        f = F[m, i]
+        for c in range(lam.shape[1]):
+            out[i, c] += f * lam[m, c]
+
+
+@njit(cache=True)
+def _simulate(P0, u, dt, starts, var, inject, p, lin, H, K, used, seed, gap, error, nu):  # type: ignore[no-untyped-def]
+    """Forward: simulated error less its filter estimate at nodes (every EVERY-th kept), innovations of all draws."""
+    np.random.seed(seed)
+    draws = nu.shape[1]
+    d, ahead = np.empty((SIZE, draws)), np.empty((SIZE, draws))
+    F, q = np.eye(SIZE), np.empty(SIZE)
+    for i in range(SIZE):
+        for c in range(draws):
+            d[i, c] = np.sqrt(P0[i, i]) * np.random.normal()
+    for k in range(lin.shape[0]):
+        if k > 0:
+            transition(lin[k - 1], u[k - 1], dt, p, F)
+            process_noise(lin[k - 1], u[k - 1], dt, p, q)
+            q[EX] += inject[k, 0]
+            q[EY] += inject[k, 0]
+            q[FX] += inject[k, 1]
+            q[FY] += inject[k, 1]
+            _step(F, d, ahead)
+            d, ahead = ahead, d
+            for i in range(SIZE):
+                if q[i] > 0.0:
+                    sd = np.sqrt(q[i])
+                    for c in range(draws):
+                        d[i, c] += sd * np.random.normal()
+        for m in range(starts[k], starts[k + 1]):
+            if not used[m]:
+                continue
+            sd = np.sqrt(var[m])
+            for c in range(draws):
+                v = sd * np.random.normal()
+                for i in range(SIZE):
+                    if H[m, i] != 0.0:
+                        v += H[m, i] * d[i, c]
+                nu[m, c] = v
+                for i in range(SIZE):
+                    d[i, c] -= K[m, i] * v
+        if k % gap == 0:
+            error[k // gap] = d
+
+
+@njit(cache=True)
+def _smooth(u, dt, starts, p, lin, packed, H, K, S, used, gap, error, nu):  # type: ignore[no-untyped-def]
+    """Backward: turn filter errors into smoother errors, error + P·lambda, in place at the kept nodes."""
+    draws = nu.shape[1]
+    lam, out = np.zeros((SIZE, draws)), np.empty((SIZE, draws))
+    P, F = np.empty((SIZE, SIZE)), np.eye(SIZE)
+    last = lin.shape[0] - 1
+    for back in range(last + 1):
+        k = last - back
+        if back > 0:
+            transition(lin[k], u[k], dt, p, F)
+            _adjoint_step(F, lam, out)
+            lam, out = out, lam
+        if k % gap == 0:
+            unpack(packed[k], P)
+            error[k // gap] += P @ lam
+        for m in range(starts[k + 1] - 1, starts[k] - 1, -1):
+            if not used[m]:
+                continue
+            for c in range(draws):
+                v = nu[m, c] / S[m]
+                for i in range(SIZE):
+                    v += K[m, i] * lam[i, c]
+                for i in range(SIZE):
+                    if H[m, i] != 0.0:
+                        lam[i, c] -= H[m, i] * v
+
+
+def posterior_errors(problem: Problem, f: Filtered, lin: Floats, draws: int, seed: int) -> tuple[Floats, Floats]:
+    """Instants (M,) and draws (M, SIZE, K) of the smoother's error, estimate minus truth, at every 0.1 s."""
+    n = problem.t.size
+    q = problem.measurements
+    starts = q.starts(n)
+    error = np.empty(((n - 1) // EVERY + 1, SIZE, draws))
+    nu = np.zeros((q.kind.size, draws))
+    _simulate(
+        problem.P0, problem.step_inputs, STEP, starts, q.var, problem.inject, problem.parameters, lin, f.H, f.K,
+        f.used, seed, EVERY, error, nu,
+    )  # fmt: skip
+    _smooth(
+        problem.step_inputs, STEP, starts, problem.parameters, lin, f.P, f.H, f.K, f.S, f.used, EVERY, error, nu
+    )
+    return problem.t[::EVERY], -error

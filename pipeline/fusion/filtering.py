@@ -1,0 +1,298 @@
+"""Compiled forward filter and modified Bryson-Frazier smoother over the kernels of the joint state.
+
+The smoother needs no inverse of a covariance: it carries the adjoint state lambda and its covariance backwards
+through every scalar update and every step (Bierman 1973, Automatica 9; equal to Rauch-Tung-Striebel, which the
+reference engine uses). Sequential scalar updates from one linearisation are the joint update.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from .kernels import GATE_1, GATE_2, PATTERN, predict, process_noise, transition
+from .state import EX, EY, FX, FY, KEPT, PAIRED, SIZE
+
+KEEP = np.array(KEPT, dtype=np.int64)
+PAIRS = np.array(PAIRED, dtype=np.int64)
+
+
+@njit(cache=True)
+def propagate(P, F, q):  # type: ignore[no-untyped-def]
+    """F·P·Fᵀ + diag(q) in place, skipping the structural zeros of F."""
+    n = SIZE
+    A = np.empty((n, n))
+    for i in range(n):
+        d = F[i, i]
+        for j in range(n):
+            A[i, j] = d * P[i, j]
+    for e in range(PATTERN.shape[0]):
+        i, m = PATTERN[e, 0], PATTERN[e, 1]
+        f = F[i, m]
+        for j in range(n):
+            A[i, j] += f * P[m, j]
+    for i in range(n):
+        for j in range(n):
+            P[i, j] = A[i, j] * F[j, j]
+    for e in range(PATTERN.shape[0]):
+        j, m = PATTERN[e, 0], PATTERN[e, 1]
+        f = F[j, m]
+        for i in range(n):
+            P[i, j] += A[i, m] * f
+    for i in range(n):
+        P[i, i] += q[i]
+
+
+@njit(cache=True)
+def gain(P, H, var, K):  # type: ignore[no-untyped-def]
+    """Innovation variance S = H·P·Hᵀ + var and gain K = P·Hᵀ/S of a scalar measurement."""
+    n = SIZE
+    K[:] = 0.0
+    for j in range(n):
+        if H[j] != 0.0:
+            h = H[j]
+            for i in range(n):
+                K[i] += P[i, j] * h
+    S = var
+    for i in range(n):
+        if H[i] != 0.0:
+            S += H[i] * K[i]
+    for i in range(n):
+        K[i] /= S
+    return S
+
+
+@njit(cache=True)
+def correct(x, P, K, S, innovation):  # type: ignore[no-untyped-def]
+    """x + K·innovation and P − K·S·Kᵀ in place, kept symmetric."""
+    n = SIZE
+    for i in range(n):
+        x[i] += K[i] * innovation
+        for j in range(i + 1):
+            P[i, j] -= K[i] * S * K[j]
+            P[j, i] = P[i, j]
+
+
+@njit(cache=True)
+def expected(kind, x, point, node, ahead, p, H):  # type: ignore[no-untyped-def]
+    """h(point) + H·(x − point): the measurement expected at x, linearised at `point`; fills H."""
+    value = predict(kind, point, node, ahead, p, H)
+    for i in range(SIZE):
+        if H[i] != 0.0:
+            value += H[i] * (x[i] - point[i])
+    return value
+
+
+@njit(cache=True)
+def pair_passes(P, H, other, nu, nu_other, var, var_other):  # type: ignore[no-untyped-def]
+    """Joint χ² of two scalar innovations from one linearisation, against the gate."""
+    a, b, c = var, 0.0, var_other
+    for i in range(SIZE):
+        if H[i] == 0.0 and other[i] == 0.0:
+            continue
+        for j in range(SIZE):
+            a += H[i] * P[i, j] * H[j]
+            b += H[i] * P[i, j] * other[j]
+            c += other[i] * P[i, j] * other[j]
+    d2 = (c * nu * nu - 2.0 * b * nu * nu_other + a * nu_other * nu_other) / (a * c - b * b)
+    return d2 <= GATE_2
+
+
+@njit(cache=True)
+def is_pair(kind):  # type: ignore[no-untyped-def]
+    """Whether this kind is the first of an east-north pair."""
+    for e in range(PAIRS.size):
+        if PAIRS[e] == kind:
+            return True
+    return False
+
+
+@njit(cache=True)
+def update_node(x, P, lin, linear, node, kinds, z, var, ahead, p, first, last, H, K, S, nu, used, store):  # type: ignore[no-untyped-def]
+    """All measurements of one node, in order; returns the Gaussian log-likelihood of those that pass the gate.
+
+    Row m of H, K, S, nu, used is filled for measurement m when `store`, else row 0 is scratch.
+    """
+    total = 0.0
+    other = np.empty(SIZE)
+    m = first
+    while m < last:
+        r = m if store else 0
+        pair = is_pair(kinds[m])
+        point = lin if linear else x.copy()
+        nu[r] = z[m] - expected(kinds[m], x, point, node, ahead[m], p, H[r])
+        passes = True
+        if pair:
+            nu_other = z[m + 1] - expected(kinds[m + 1], x, point, node, ahead[m + 1], p, other)
+            passes = pair_passes(P, H[r], other, nu[r], nu_other, var[m], var[m + 1])
+        S[r] = gain(P, H[r], var[m], K[r])
+        if not pair:
+            passes = nu[r] * nu[r] <= GATE_1 * S[r]
+        used[r] = passes
+        if passes:
+            total -= 0.5 * (nu[r] * nu[r] / S[r] + np.log(S[r]))
+            correct(x, P, K[r], S[r], nu[r])
+        else:
+            total -= 0.5 * (GATE_1 + np.log(S[r]))
+        m += 1
+        if pair:
+            r = m if store else 0
+            nu[r] = z[m] - expected(kinds[m], x, point, node, ahead[m], p, H[r])
+            S[r] = gain(P, H[r], var[m], K[r])
+            used[r] = passes
+            if passes:
+                total -= 0.5 * (nu[r] * nu[r] / S[r] + np.log(S[r]))
+                correct(x, P, K[r], S[r], nu[r])
+            else:
+                total -= 0.5 * (np.log(S[r]))
+            m += 1
+    return total
+
+
+@njit(cache=True)
+def pack(P, row):  # type: ignore[no-untyped-def]
+    """Lower triangle of a symmetric matrix into a row."""
+    e = 0
+    for i in range(SIZE):
+        for j in range(i + 1):
+            row[e] = P[i, j]
+            e += 1
+
+
+@njit(cache=True)
+def unpack(row, P):  # type: ignore[no-untyped-def]
+    """The symmetric matrix whose lower triangle `pack` wrote."""
+    e = 0
+    for i in range(SIZE):
+        for j in range(i + 1):
+            P[i, j] = row[e]
+            P[j, i] = row[e]
+            e += 1
+
+
+@njit(cache=True)
+def forward(x0, P0, u, nodes, dt, kinds, starts, z, var, ahead, inject, p, lin, linear, out_x, out_P, H, K, S, nu, used, store):  # type: ignore[no-untyped-def]
+    """Filter all nodes; returns the log-likelihood. With `linear` everything is linearised at `lin` (N, SIZE)."""
+    x, P = x0.copy(), P0.copy()
+    F = np.eye(SIZE)
+    q = np.empty(SIZE)
+    total = 0.0
+    for k in range(nodes.shape[0]):
+        if k > 0:
+            point = lin[k - 1] if linear else x
+            ahead_x = transition(point, u[k - 1], dt, p, F)
+            process_noise(point, u[k - 1], dt, p, q)
+            if linear:
+                ahead_x += F @ (x - point)
+            x = ahead_x
+            q[EX] += inject[k, 0]
+            q[EY] += inject[k, 0]
+            q[FX] += inject[k, 1]
+            q[FY] += inject[k, 1]
+            propagate(P, F, q)
+        total += update_node(
+            x, P, lin[k] if linear else x, linear, nodes[k], kinds, z, var, ahead, p,
+            starts[k], starts[k + 1], H, K, S, nu, used, store,
+        )  # fmt: skip
+        if store:
+            out_x[k] = x
+            pack(P, out_P[k])
+    return total
+
+
+@njit(cache=True)
+def absorb(lam, Lam, H, K, S, nu):  # type: ignore[no-untyped-def]
+    """Adjoint state and covariance back through one scalar update: (I − KH)ᵀ on both sides, plus HᵀH/S."""
+    n = SIZE
+    LK = np.zeros(n)
+    s = 0.0
+    kl = 0.0
+    for i in range(n):
+        for j in range(n):
+            LK[i] += Lam[i, j] * K[j]
+        kl += K[i] * lam[i]
+    for i in range(n):
+        s += K[i] * LK[i]
+    weight = 1.0 / S + s
+    for i in range(n):
+        if H[i] == 0.0:
+            continue
+        lam[i] -= H[i] * (nu / S + kl)
+        for j in range(n):
+            Lam[i, j] -= H[i] * LK[j]
+            Lam[j, i] -= LK[j] * H[i]
+        for j in range(n):
+            if H[j] != 0.0:
+                Lam[i, j] += H[i] * H[j] * weight
+
+
+@njit(cache=True)
+def retreat(lam, Lam, F):  # type: ignore[no-untyped-def]
+    """Adjoint state and covariance back through one step: Fᵀ·lambda and Fᵀ·Lambda·F."""
+    n = SIZE
+    a = np.empty(n)
+    A = np.empty((n, n))
+    for i in range(n):
+        a[i] = F[i, i] * lam[i]
+        for j in range(n):
+            A[i, j] = F[i, i] * Lam[i, j]
+    for e in range(PATTERN.shape[0]):
+        m, i = PATTERN[e, 0], PATTERN[e, 1]
+        f = F[m, i]
+        a[i] += f * lam[m]
+        for j in range(n):
+            A[i, j] += f * Lam[m, j]
+    for i in range(n):
+        lam[i] = a[i]
+        for j in range(n):
+            Lam[i, j] = A[i, j] * F[j, j]
+    for e in range(PATTERN.shape[0]):
+        m, j = PATTERN[e, 0], PATTERN[e, 1]
+        f = F[m, j]
+        for i in range(n):
+            Lam[i, j] += A[i, m] * f
+
+
+@njit(cache=True)
+def kept_covariance(P, Lam, out):  # type: ignore[no-untyped-def]
+    """Rows and columns KEEP of P − P·Lambda·P."""
+    n, k = SIZE, KEEP.size
+    A = np.zeros((k, n))
+    for a in range(k):
+        i = KEEP[a]
+        for m in range(n):
+            f = P[i, m]
+            if f != 0.0:
+                for j in range(n):
+                    A[a, j] += f * Lam[m, j]
+    for a in range(k):
+        for b in range(a + 1):
+            v = P[KEEP[a], KEEP[b]]
+            for m in range(n):
+                v -= A[a, m] * P[m, KEEP[b]]
+            out[a, b] = v
+            out[b, a] = v
+
+
+@njit(cache=True)
+def backward(u, dt, starts, p, lin, out_x, out_P, H, K, S, nu, used, smooth_x, smooth_P):  # type: ignore[no-untyped-def]
+    """Modified Bryson-Frazier smoother over stored filter results; `lin` (N, SIZE) is where F was taken.
+
+    Fills smooth_x (N, SIZE) and smooth_P (N, kept, kept).
+    """
+    lam = np.zeros(SIZE)
+    Lam = np.zeros((SIZE, SIZE))
+    P = np.empty((SIZE, SIZE))
+    F = np.eye(SIZE)
+    last = out_x.shape[0] - 1
+    for back in range(last + 1):
+        k = last - back
+        if back > 0:
+            transition(lin[k], u[k], dt, p, F)
+            retreat(lam, Lam, F)
+        unpack(out_P[k], P)
+        smooth_x[k] = out_x[k] - P @ lam
+        kept_covariance(P, Lam, smooth_P[k])
+        for m in range(starts[k + 1] - 1, starts[k] - 1, -1):
+            if used[m]:
+                absorb(lam, Lam, H[m], K[m], S[m], nu[m])

@@ -1,0 +1,142 @@
+"""`fuse`: one pass's streams to both bodies' smoothed motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...sensors.streams import FieldLog
+from ..wheels import wheel_motions
+from . import engine_compiled, engine_filterpy, tune
+from . import state as s
+from .assemble import assemble
+from .engine_compiled import Filtered, Smoothed
+from .known import Known, build, lag_sd, levelled, prepare
+from .motion import Motion
+from .prepare import STEP
+from .problem import Measurements, Problem
+from .settings import FusionSettings, Levels
+
+Floats = NDArray[np.float64]
+
+TUNED = 9_000  # nodes of motion that the levels are tuned on
+REFUSED_RUN = 4.0  # s of refused fixed positions after which the receiver, not the filter, sets the place
+
+
+def fuse(log: FieldLog, options: FusionSettings = FusionSettings()) -> Motion:  # noqa: B008
+    """Both bodies' motion of one pass, smoothed, on a 1/50 s UTC grid, with its uncertainty.
+
+    Extended Kalman filter and smoother over one joint state (see `state`), relinearised about its own smoothed
+    path; clocks' lag, slips and noises by likelihood.
+
+    Raises FusionError when the pass has no position, or too little of anything to be fused.
+    """
+    wheels = wheel_motions(log)
+    known = prepare(log, wheels)
+    levels, lag = Levels(), 0.0
+    if options.adapt:
+        lag = tune.best_lag(lambda value: score(build(known, options, levels, value)), lag_sd(log))
+    path = solve(build(known, options, levels, lag), options)[1].x
+    known = levelled(known, path)
+    free: tuple[str, ...] = ()
+    if options.adapt:
+        free = free_levels(known)
+        levels = tune.best_levels(levels, free, likelihood_of(known, options, path))
+    task, filtered, smooth, jumps = settle(known, options, levels, path)
+    return assemble(known, options, levels, free, task, filtered, smooth, wheels, jumps)
+
+
+def score(task: Problem) -> float:
+    """Log-likelihood of the forward filter's innovations."""
+    return engine_compiled.run_filter(task, None, store=False).log_likelihood
+
+
+def likelihood_of(known: Known, options: FusionSettings, path: Floats) -> Callable[[Levels], float]:
+    """Likelihood of levels over the part of the pass with most motion, starting from the smoothed path there."""
+    moving = np.concatenate([[0], np.cumsum(~known.still)])
+    last = max(known.t.size - TUNED, 0)
+    starts = np.arange(0, last + 1, 500)
+    first = int(max(starts, key=lambda k: moving[min(k + TUNED, known.t.size)] - moving[k]))
+    lag = float(path[-1, s.LAG])
+
+    def likelihood(levels: Levels) -> float:
+        return score(cut(build(known, options, levels, lag), first, min(first + TUNED, known.t.size), path))
+
+    return likelihood
+
+
+def cut(task: Problem, first: int, last: int, path: Floats) -> Problem:
+    """The problem of nodes first to last alone; it starts at the path with the wide prior of the whole."""
+    q = task.measurements
+    inside = (q.node >= first) & (q.node < last)
+    part = Measurements(q.kind[inside], q.node[inside] - first, q.z[inside], q.var[inside], q.ahead[inside])
+    return replace(
+        task, t=task.t[first:last], step_inputs=task.step_inputs[first : last - 1],
+        node_inputs=task.node_inputs[first:last], measurements=part, inject=task.inject[first:last],
+        x0=path[first].copy(),
+    )  # fmt: skip
+
+
+def free_levels(known: Known) -> tuple[str, ...]:
+    """Levels with enough data to be tuned."""
+    main = known.epochs[0]
+    free = ["beta1", "lateral"]
+    free += ["white_fixed"] if main.fixed.sum() > 100 else []
+    free += ["white_float"] if (~main.fixed).sum() > 50 else []
+    free += ["velocity"] if np.isfinite(main.vx).sum() > 50 else []
+    free += ["beta2", "hitch"] if known.two is not None else []
+    free += ["wheel"] if known.wheel is not None else []
+    free += ["white_second"] if len(known.epochs) > 1 else []
+    return tuple(free)
+
+
+def solve(task: Problem, options: FusionSettings, path: Floats | None = None) -> tuple[Filtered, Smoothed]:
+    """Filter and smoother, linearised about the filter's own estimate or a given path (N, SIZE)."""
+    engine = engine_filterpy if options.engine == "filterpy" else engine_compiled
+    filtered = engine.run_filter(task, path)
+    return filtered, engine.run_smoother(task, filtered, path)
+
+
+def settle(
+    known: Known, options: FusionSettings, levels: Levels, path: Floats
+) -> tuple[Problem, Filtered, Smoothed, int]:
+    """Relinearise about the smoothed path; where the receiver insists on another place, let its error jump.
+
+    Returns the last problem, its filter and smoother, and the number of jumps found.
+    """
+    jumps = np.zeros((known.t.size, 2))
+    lag = float(path[-1, s.LAG])
+    task = build(known, options, levels, lag)
+    for _ in range(options.passes):
+        filtered, smooth = solve(task, options, path)
+        path = smooth.x
+        lag = float(path[-1, s.LAG])
+        known = replace(known, yaw=(path[:, s.YAW1].copy(), path[:, s.YAW2].copy()))
+        jumps = np.maximum(jumps, insisting(task, filtered))
+        task = build(known, options, levels, lag)
+        task = replace(task, inject=task.inject + jumps)
+    filtered, smooth = solve(task, options, path)
+    return task, filtered, smooth, int((jumps[:, 0] > 0.0).sum())
+
+
+def insisting(task: Problem, f: Filtered) -> Floats:
+    """Variance (N, 2) for jumps of the fixed positions' slow error: where and by how much they were refused on end.
+
+    A receiver that stays away for REFUSED_RUN seconds has resolved its ambiguities anew; a shorter excursion
+    stays refused.
+    """
+    out = np.zeros((task.t.size, 2))
+    m = np.flatnonzero(task.measurements.kind == s.FIXED_X)
+    node, refused = task.measurements.node[m], ~f.used[m]
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], refused.astype(np.int8), [0]])))
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        if (node[b - 1] - node[a]) * STEP < REFUSED_RUN:
+            continue
+        size = float(np.median(f.nu[m[a:b]] ** 2 + f.nu[m[a:b] + 1] ** 2))
+        out[node[a], 0] = size
+        if b < node.size:
+            out[node[b], 0] = size
+    return out

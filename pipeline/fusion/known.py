@@ -1,0 +1,179 @@
+"""What is known of a pass before the filter runs, and the estimation problem made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...sensors.streams import FieldLog
+from ..wheels import WheelMotion
+from . import initial, problem
+from . import state as s
+from .motion import Origin
+from .prepare import STEP, BodyInputs, body_inputs, grid, resolved_yaw_rate, standing, tilt
+from .problem import Epochs, Problem, WheelSpeed
+from .settings import FusionSettings, Levels
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+SHORTEST = 100  # nodes: 2 s
+FLOAT_PAUSE = 5.0  # s between spans that are not fixed: a new span has a new error
+
+
+class FusionError(ValueError):
+    """A pass that cannot be fused; one line: what, where, how to mend."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of a pass before and between the sweeps: both bodies on the grid, receivers, wheels, rest.
+
+    speed : (N,) m/s over ground, NaN where unknown; forwards : (N,) 1 or -1; yaw : approximate, (N,) each;
+    bias : (4,) mean gyro readings at rest (tractor x, y, z, seeder z), None without a rest
+    """
+
+    log: FieldLog
+    origin: Origin
+    t: Floats
+    one: BodyInputs
+    two: BodyInputs | None
+    epochs: tuple[Epochs, ...]
+    still: Bools
+    wheel: WheelSpeed | None
+    speed: Floats
+    forwards: Floats
+    steps: Floats = field(default_factory=lambda: np.empty((0, s.U_SIZE)))
+    nodes: Floats = field(default_factory=lambda: np.empty((0, s.N_SIZE)))
+    yaw: tuple[Floats, Floats] = field(default_factory=lambda: (np.empty(0), np.empty(0)))
+    bias: Floats | None = None
+
+
+def lag_sd(log: FieldLog) -> float:
+    """Standard deviation of the clocks' lag, s: what the receivers' latency is known to."""
+    return max(float(g.latency_sd) for g in log.manifest.of_kind("gps").values())
+
+
+def prepare(log: FieldLog, wheels: Mapping[str, WheelMotion]) -> Known:
+    """Streams on the grid, rest, first headings. Raises FusionError when there is too little of anything."""
+    t = grid(log)
+    if t.size < SHORTEST:
+        raise FusionError(f"{log.source or log.manifest.run.id}: inertial samples of the tractor span under 2 s")
+    try:
+        origin = problem.origin_of(log)
+    except ValueError as error:
+        raise FusionError(str(error)) from None
+    epochs = tuple(problem.epochs_of(log, origin))
+    if not any(e.first and e.t.size >= 10 for e in epochs):
+        raise FusionError("gps: fewer than 10 positions of a receiver on the tractor; check the receiver's log")
+    machine = log.manifest.machine
+    point = np.array([-machine.tractor.rear_axle, 0.0, -problem.sway(machine.tractor)])
+    speed = initial.ground_speed(t, epochs[0])
+    spin = _mean_spin(t, wheels)
+    rough, _ = body_inputs(log, "tractor", point, t, np.zeros(t.size, dtype=bool))
+    still = standing(rough.node_rate, speed, spin)
+    one, _ = body_inputs(log, "tractor", point, t, still)
+    two = None
+    if machine.seeder is not None:
+        axle = np.array([-float(np.mean(machine.seeder.axles)), 0.0, 0.0])
+        two, _ = body_inputs(log, "seeder", axle, t, still)
+    forwards = np.where(spin < 0.0, -1.0, 1.0) if spin is not None else np.ones(t.size)
+    wheel = wheel_speed(t, wheels, log, one)
+    return _aligned(Known(log, origin, t, one, two, epochs, still, wheel, speed, forwards), forwards)
+
+
+def _mean_spin(t: Floats, wheels: Mapping[str, WheelMotion]) -> Floats | None:
+    """Mean spin of all wheels with a unit on the grid, rad/s; None without one."""
+    spins = [np.interp(t, w.t, w.spin) for w in wheels.values()]
+    return np.mean(spins, axis=0) if spins else None
+
+
+def wheel_speed(t: Floats, wheels: Mapping[str, WheelMotion], log: FieldLog, one: BodyInputs) -> WheelSpeed | None:
+    """Speed of the rear axle's centre by its wheels' spin and stated radius; a side alone is moved by the turn."""
+    tractor = log.manifest.machine.tractor
+    rear = [w for w in wheels.values() if w.wheel.startswith("rear")]
+    if not rear:
+        return None
+    total, variance = np.zeros(t.size), np.zeros(t.size)
+    for w in rear:
+        side = 0.5 if w.wheel.endswith("left") else -0.5
+        turn = side * tractor.rear_track * one.node_rate[:, 2]
+        speed = np.interp(t, w.t, w.spin) * tractor.rear_wheel_radius + turn
+        far = (t < w.t[0]) | (t > w.t[-1])
+        total += np.where(far, np.nan, speed)
+        variance += (np.interp(t, w.t, w.spin_sd) * tractor.rear_wheel_radius) ** 2
+    return WheelSpeed(total / len(rear), np.sqrt(variance) / len(rear), ", ".join(w.name for w in rear))
+
+
+def _aligned(known: Known, forwards: Floats) -> Known:
+    """First headings of both bodies from course and turn, and the seeder's yaw rate with its tilt still unknown."""
+    speed = np.nan_to_num(known.speed) * forwards
+    known = _with_seeder(known, speed)
+    bias = None
+    if known.still.sum() > 25:
+        bias = known.nodes[known.still][:, [s.U_WX, s.U_WY, s.U_WZ, s.U_W2]].mean(axis=0)
+    level = bias if bias is not None else np.zeros(4)
+    turned = [
+        np.concatenate([[0.0], np.cumsum((known.steps[:, column] - level[i]) * STEP)])
+        for column, i in ((s.U_WZ, 2), (s.U_W2, 3))
+    ]
+    first = [initial.heading_offset(known.t, turn, known.epochs[0], forwards) for turn in turned]
+    return replace(known, bias=bias, yaw=(first[0] + turned[0], first[1] + turned[1]))
+
+
+def _with_seeder(known: Known, speed: Floats) -> Known:
+    """Inputs with the seeder's yaw rate about the vertical, its tilt levelled with `speed` (N,) m/s."""
+    zero = np.zeros(known.t.size)
+    roll2, pitch2, rate_node, rate_step, gap = zero, zero, None, None, None
+    if known.two is not None:
+        two = known.two
+        roll2, pitch2 = tilt(two.node_rate, two.node_force, speed, known.still)
+        rate_node = resolved_yaw_rate(two.node_rate, roll2, pitch2)
+        rate_step = resolved_yaw_rate(two.step_rate, _halfway(roll2), _halfway(pitch2))
+        gap = two.gap
+    return replace(
+        known,
+        steps=problem.inputs_of(known.one, rate_step, gap, known.still, known.wheel),
+        nodes=problem.nodes_of(known.one, rate_node, roll2, pitch2),
+    )
+
+
+def _halfway(v: Floats) -> Floats:
+    return np.asarray(0.5 * (v[1:] + v[:-1]))
+
+
+def levelled(known: Known, path: Floats) -> Known:
+    """The seeder's tilt and both headings again, now that the speed is known: path (N, SIZE)."""
+    again = _with_seeder(known, path[:, s.V])
+    return replace(again, yaw=(path[:, s.YAW1].copy(), path[:, s.YAW2].copy()))
+
+
+def build(known: Known, options: FusionSettings, levels: Levels, lag: float, inject: Floats | None = None) -> Problem:
+    """The estimation problem at given levels, its GNSS epochs placed by `lag`."""
+    p = problem.parameters_of(known.log.manifest, known.epochs, known.one, known.two)
+    p = problem.with_levels(p, levels, known.epochs)
+    p[s.P_TILT] = 1.0 if options.tilt_compensation else 0.0
+    q = problem.measurements_of(
+        known.t, known.epochs, known.nodes, known.still, known.wheel, levels, p, lag, known.yaw
+    )
+    x0, P0 = problem.starting_state(
+        known.log.manifest, p, initial.first_position(known.epochs, known.t[0]),
+        (float(known.yaw[0][0]), float(known.yaw[1][0])), float(np.nan_to_num(known.speed[0]) * known.forwards[0]),
+        lag_sd(known.log), known.nodes, known.bias,
+    )  # fmt: skip
+    if inject is None:
+        inject = new_float_spans(known, lag, p)
+    return Problem(known.t, known.steps, known.nodes, q, inject, p, x0, P0)
+
+
+def new_float_spans(known: Known, lag: float, p: Floats) -> Floats:
+    """Variance (N, 2) that starts each new span of positions that are not fixed with a new slow error."""
+    inject = np.zeros((known.t.size, 2))
+    loose = known.epochs[0].t[~known.epochs[0].fixed]
+    starts = loose[1:][np.diff(loose) > FLOAT_PAUSE]
+    at = np.rint((starts + lag - known.t[0]) / STEP).astype(np.int64)
+    inject[at[(at >= 0) & (at < known.t.size)], 1] = p[s.P_SD_F] ** 2
+    return inject
