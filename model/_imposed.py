@@ -106,7 +106,7 @@ def run_trailed(
             for i in range(at.STATE_SIZE):
                 sample[i] = s[i]
             sample[at.AX1], sample[at.AY1], sample[at.ALPHA1], sample[at.ALPHA2] = u[0], u[1], u[2], k[0, W2]
-        parts = substeps(s, p, h)
+        parts = substeps(s, p, h, options.largest_rate)
         t = start + step * h
         for part in range(parts):
             if part > 0:

@@ -16,7 +16,6 @@ FULL_SIZE, SLIP, VX1, VY1, W1, W2 = at.FULL_SIZE, at.SLIP, at.VX1, at.VY1, at.W1
 X1, Y1, YAW1, YAW2 = at.X1, at.Y1, at.YAW1, at.YAW2
 HITCH, L5 = at.HITCH, at.HITCH_TO_COM
 WHEELS, WHEEL_SIZE = at.WHEELS, at.WHEEL_SIZE
-STABLE = 1.5  # of h·λ: Runge–Kutta 4 is stable on the real axis up to 2.78
 FASTEST_TURN = 50.0  # rad/s; a body that turns faster has diverged
 MOST_TRIALS = 200_000  # of the adaptive integrator between two samples; beyond, the run counts as diverged
 
@@ -37,11 +36,11 @@ ERROR = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 /
 
 
 @njit(cache=True, error_model="numpy")
-def substeps(s: Floats, p: Floats, h: float) -> int:
+def substeps(s: Floats, p: Floats, h: float, largest_rate: float) -> int:
     """Parts of a step that keep Runge–Kutta 4 stable: sideways damping grows as 1/v towards standstill."""
     speed = max(abs(s[VX1] * math.cos(s[YAW1]) + s[VY1] * math.sin(s[YAW1])), SLOWEST)
     fastest = p[at.STIFF_RATE] / speed + p[at.SLIP_RATE] * speed
-    return 1 + int(h * fastest / STABLE) if fastest < 1e6 else 1 + int(1e6 * h)
+    return 1 + int(h * min(fastest, 1e6) / largest_rate)
 
 
 @njit(cache=True, error_model="numpy")
@@ -74,7 +73,7 @@ def fixed_span(
     tables: Tables, options: Options, u: Floats, k: Floats, trial: Floats,
 ) -> None:  # fmt: skip
     """Runge–Kutta 4 over one step, in as many parts as stability asks for."""
-    parts = substeps(s, p, h)
+    parts = substeps(s, p, h, options.largest_rate)
     for part in range(parts):
         if part > 0:
             derivative(s, p, u, tables, int(change[at.FORCE_ROW]), options, k[0])

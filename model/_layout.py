@@ -76,6 +76,7 @@ class Options(NamedTuple):
     ellipse: int
     draft_on_axis: int
     adaptive: int
+    largest_rate: float
     relative_tolerance: float
     absolute_tolerance: float
 

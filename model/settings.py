@@ -14,6 +14,8 @@ class SimulationSettings:
     """How the equations are set up and solved.
 
     step : s, of Runge–Kutta 4 (also the grid on which unequal controls are laid)
+    largest_rate : of step × fastest decay rate; a step is cut into parts that keep to it (Runge–Kutta 4 is
+        stable up to 2.78), which matters towards standstill, where sideways damping grows as 1/v
     equations : "exact" (Lagrange) or "as_printed" (the paper's eqs 4 and 5 to the letter)
     tyre_law : "linear", "tanh" or "fiala"
     solver : of M·q̈ = Q − h, "elimination" or the paper's "cramer"
@@ -25,6 +27,7 @@ class SimulationSettings:
     """
 
     step: float = 0.01
+    largest_rate: float = 1.5
     equations: Literal["exact", "as_printed"] = "exact"
     tyre_law: str = "tanh"
     solver: Literal["elimination", "cramer"] = "elimination"
@@ -37,7 +40,13 @@ class SimulationSettings:
     speed_time_constant: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("step", "relative_tolerance", "absolute_tolerance", "speed_time_constant"):
+        for name in (
+            "step",
+            "largest_rate",
+            "relative_tolerance",
+            "absolute_tolerance",
+            "speed_time_constant",
+        ):
             value = getattr(self, name)
             if not (value > 0.0 and math.isfinite(value)):
                 raise ValueError(f"settings.{name} is {value!r}; it must be a finite number above 0")

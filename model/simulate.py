@@ -150,7 +150,7 @@ def halved_step_error(
     settings: SimulationSettings = DEFAULT,
 ) -> float:
     """Error of a run's positions, m: largest distance of either CoM to the same run at half the step."""
-    half = dataclasses.replace(settings, step=settings.step / 2.0)
+    half = dataclasses.replace(settings, step=settings.step / 2.0, largest_rate=settings.largest_rate / 2.0)
     runs = [simulate(machine, controls, initial, t_out, choice) for choice in (settings, half)]
     count = min(run.t.size for run in runs)
     gaps = []
