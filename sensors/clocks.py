@@ -267,26 +267,37 @@ def sample_times(
     step, short = _counter_increments(counter, tick, span, host)
     near = np.abs(step) < NEIGHBOURS
     resets = np.flatnonzero(~near & (np.abs(short) > RESET_STEP)) + 1
-    jumps = [(int(i) + 1, float(short[i])) for i in np.flatnonzero(near & (np.abs(short) > HUGE_STEP))]
-    host = without_jumps(host, jumps)
+    huge = [(int(i) + 1, float(short[i])) for i in np.flatnonzero(near & (np.abs(short) > HUGE_STEP))]
     bounds = np.concatenate([[0], resets, [host.size]])
     segments = [slice(int(a), int(b)) for a, b in pairwise(bounds)]
     window = round(STEP_WINDOW * rate)
-    smaller = [
-        (part.start + row, size)
-        for part in segments
-        for row, size in _offset_steps(counter[part], tick, span, host[part], window)
+    steady, jumps = without_jumps(host, huge), []
+    for part in segments:
+        device = _continuous_device(counter[part], tick, span, steady[part])
+        rows = [row - part.start for row, _ in huge if part.start <= row < part.stop]
+        rows += [row for row, _ in find_steps(steady[part] - device, window, DEVICE_STEP)]
+        sizes = _jump_sizes(host[part] - device, device, sorted(set(rows)), window)
+        jumps += [(part.start + row, size) for row, size in sizes]
+    steady = without_jumps(host, jumps)
+    devices = [_continuous_device(counter[part], tick, span, steady[part]) for part in segments]
+    return _fitted(steady, devices, segments, seq, rate, _wraps(counter, span), tuple(jumps))
+
+
+def _jump_sizes(offset: Floats, device: Floats, rows: list[int], window: int) -> list[tuple[int, float]]:
+    """Size of each jump of the host's clock: change of the least offset there, less the drift."""
+    if not rows:
+        return []
+    bounds = [0, *rows, offset.size]
+    longest = max(pairwise(bounds), key=lambda pair: pair[1] - pair[0])
+    calm = slice(*longest)
+    level = offset - _device_line(device[calm], device[calm] + offset[calm]).slope * device
+    return [
+        (
+            row,
+            float(level[row : min(row + window, after)].min() - level[max(row - window, before) : row].min()),
+        )
+        for before, row, after in zip(bounds, rows, bounds[2:], strict=False)
     ]
-    host = without_jumps(host, smaller)
-    devices = [_continuous_device(counter[part], tick, span, host[part]) for part in segments]
-    return _fitted(host, devices, segments, seq, rate, _wraps(counter, span), tuple(sorted(jumps + smaller)))
-
-
-def _offset_steps(
-    counter: Ints, tick: float, span: int | None, host: Floats, window: int
-) -> list[tuple[int, float]]:
-    offset = host - _continuous_device(counter, tick, span, host)
-    return find_steps(offset, window, DEVICE_STEP)
 
 
 def _wraps(counter: Ints, span: int | None) -> int:

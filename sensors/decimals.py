@@ -17,10 +17,11 @@ POINT, PLUS, MINUS, ZERO = ord("."), ord("+"), ord("-"), ord("0")
 
 def cells(data: Bytes, start: Ints, stop: Ints, width: int) -> NDArray[np.uint8]:
     """Bytes of the fields [start, stop), (width, N), zero where a field is shorter."""
-    rows = np.arange(width, dtype=np.int64)[:, None]
-    at = start + rows
-    inside = at < stop
-    return np.where(inside, data[np.where(inside, at, 0)], 0).astype(np.uint8)
+    text = np.empty((width, start.size), dtype=np.uint8)
+    size = stop - start
+    for column in range(width):
+        np.multiply(data.take(start + column, mode="clip"), column < size, out=text[column])
+    return text
 
 
 def decimals(data: Bytes, start: Ints, stop: Ints) -> tuple[Floats, Bools]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from .raw import Rejected
 NEWLINE, RETURN, DOLLAR, STAR, COMMA, SPACE, P = (ord(c) for c in "\n\r$*, P")
 OTHER = -1
 MAX_SENTENCE = 255  # bytes; the standard's 82 are widely overrun
-MAX_KEPT = 10_000  # rejected lines that are kept with their text
+MAX_KEPT = 100_000  # rejected lines that are kept with their text
 PREFIX_DIGITS = 20
 
 NO_SENTENCE, NO_CHECKSUM, BAD_CHECKSUM, TOO_LONG, NO_HOST, BAD_FIELD, NO_TIME, OUT_OF_RANGE = range(8)
@@ -32,7 +33,10 @@ REASONS = (
 
 @dataclass(frozen=True)
 class Sentences:
-    """Sound sentences, in file order: positions in the log's bytes, kind, line, host time (-1: none)."""
+    """Sound sentences, in file order: positions in the log's bytes, kind, line, host time (-1: none).
+
+    commas : of all bytes, and their end
+    """
 
     data: Bytes
     commas: Ints
@@ -49,12 +53,15 @@ class Sentences:
 
     def field(self, number: int) -> tuple[Ints, Ints]:
         """Where field `number` (1: the first after the address) starts and stops; empty where missing."""
-        first = np.searchsorted(self.commas, self.dollar)
-        bounds = np.append(self.commas, self.data.size)
-        last = bounds.size - 1
-        start = np.minimum(bounds[np.minimum(first + number - 1, last)] + 1, self.star)
-        stop = np.minimum(bounds[np.minimum(first + number, last)], self.star)
+        last = self.commas.size - 1
+        start = np.minimum(self.commas[np.minimum(self._first + number - 1, last)] + 1, self.star)
+        stop = np.minimum(self.commas[np.minimum(self._first + number, last)], self.star)
         return start, np.maximum(start, stop)
+
+    @cached_property
+    def _first(self) -> Ints:
+        """Where each sentence's first comma stands among all."""
+        return np.asarray(np.searchsorted(self.commas, self.dollar), dtype=np.int64)
 
     def number(self, number: int) -> tuple[Floats, Bools]:
         """A field as a decimal, NaN where empty, and where it is sound."""
@@ -119,7 +126,8 @@ def scan(data: Bytes, kinds: Sequence[str]) -> tuple[Sentences, Refusals, int]:
     else:
         host_ns = np.full_like(host_ns, -1)
     bad, chosen = reason >= 0, (reason < 0) & (kind != OTHER)
-    sentences = Sentences(data, np.flatnonzero(data == COMMA), dollar, star, kind, row, host_ns).of(chosen)
+    commas = np.append(np.flatnonzero(data == COMMA), data.size)
+    sentences = Sentences(data, commas, dollar, star, kind, row, host_ns).of(chosen)
     refused = Refusals(row[bad], reason[bad], dollar[bad]).with_more(*_bare_lines(data, newlines, row))
     return sentences, refused, int(np.count_nonzero(~bad & ~chosen))
 
