@@ -77,10 +77,9 @@ def disturbance(plan: TwinPlan, machine: Machine, rng: np.random.Generator) -> F
     soil, lanes = plan.soil, plan.path.rows
     distance = lanes * plan.path.row_length + (lanes - 1) * math.pi * plan.path.turn_radius + 50.0
     n = math.ceil(distance / SPACING) + 1
-    sizes = (
-        0.0, soil.side_force_tractor, soil.yaw_moment_tractor,
-        0.0, soil.side_force_seeder, soil.yaw_moment_seeder,
-    )  # fmt: skip
+    sizes = np.array([0.0, soil.side_force_tractor, soil.yaw_moment_tractor, 0.0, 0.0, 0.0])
+    if machine.seeder is not None:
+        sizes[4:] = soil.side_force_seeder, soil.yaw_moment_seeder
     coloured = [size * wander(n, SPACING, soil.correlation_length, rng) for size in sizes]
     fade = np.clip(np.arange(n) * SPACING / FADE_IN, 0.0, 1.0)
     return np.asarray(fade[:, None] * (np.column_stack(coloured) + crab_load(plan, machine)))

@@ -32,6 +32,7 @@ SEPARATION = 16.0  # m, of the geoid above the ellipsoid
 KNOT = 1852.0 / 3600.0  # m/s
 SLOWEST_COURSE = 0.1  # m/s, below which receivers state no course
 SENTENCE_GAP = 0.007  # s between the sentences of one epoch, on a serial line
+MOST_SENTENCES = 6  # of one epoch
 GSA_EVERY = 50  # epochs
 
 
@@ -122,7 +123,8 @@ def _arrivals(plan: GnssPlan, rate: float, t: Floats, rng: np.random.Generator) 
     drawn = float(rng.uniform(0.02, 0.15))
     least = drawn if plan.latency is None else plan.latency
     jitter = np.minimum(rng.exponential(plan.latency_jitter, t.size), max(0.2 - least, 0.5 / rate))
-    return np.maximum.accumulate(t + least + jitter)
+    busy = MOST_SENTENCES * SENTENCE_GAP * np.arange(t.size)
+    return np.asarray(np.maximum.accumulate(t + least + jitter - busy) + busy)
 
 
 def sentences(
