@@ -15,12 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 Floats = NDArray[np.float64]
 
 DIFFUSE = 1.0e4  # initial variance of a walk whose start is unknown, in units of the channel squared
-FIT_SAMPLES = 20_000  # enough for the noise of a channel to 1 %
+LAG = 0.1  # s, over which a channel's walk is judged
 MAD_TO_SD = 1.4826
 
 
@@ -154,42 +153,24 @@ def signal(channel: Smoothed, constants: Constants, direct: Floats | None = None
     """
     x = channel.columns[:, 1:] if direct is None else channel.columns[:, 1:] - direct
     value = channel.columns[:, 0] - x @ constants.value
-    return value, channel.variance + np.einsum("ij,jk,ik->i", x, constants.covariance, x)
+    return value, channel.variance + np.sum((x @ constants.covariance) * x, axis=1)
 
 
 def fit_walk(t: Floats, y: Floats) -> tuple[float, float]:
     """Noise of a channel from the channel itself: (variance of the white noise, walk in units²/s).
 
-    Maximum likelihood of a random walk in white noise, the noise variance concentrated out. A long channel is
-    judged by `FIT_SAMPLES` samples from its middle.
+    White noise from third differences, in which a signal slower than a tenth of the sampling rate is gone
+    (their variance is 20 times the noise's); the walk from changes over `LAG` seconds less that noise. Both
+    by median absolute deviations: a start, a stop or a few bad samples do not count.
     """
-    middle = slice(max(0, (y.size - FIT_SAMPLES) // 2), (y.size + FIT_SAMPLES) // 2)
-    t, y = t[middle], y[middle]
-    if y.size < 8 or not np.ptp(y) > 0.0:
+    dt = float(np.median(np.diff(t))) if t.size > 1 else 0.0
+    lag = max(round(LAG / dt), 1) if dt > 0.0 else 1
+    if y.size < 4 * lag:
         return 0.0, 0.0
-    ratio = _best_ratio(np.diff(t), (y - y[0])[:, None])
-    noise = _concentrated(ratio, np.diff(t), (y - y[0])[:, None])[1]
-    return noise, noise * 10.0**ratio
-
-
-def _best_ratio(dt: Floats, column: Floats) -> float:
-    """log10 of walk / noise [1/s] with the greatest likelihood."""
-    rough = min(np.arange(-5.0, 7.0), key=lambda ratio: _concentrated(ratio, dt, column)[0])
-    found = minimize_scalar(
-        lambda ratio: _concentrated(ratio, dt, column)[0],
-        bounds=(rough - 1.0, rough + 1.0),
-        method="bounded",
-        options={"xatol": 0.02},
-    )
-    return float(found.x)
-
-
-def _concentrated(ratio: float, dt: Floats, column: Floats) -> tuple[float, float]:
-    """(−2/N·log likelihood, noise variance) at one ratio of walk to noise, the first sample being spent."""
-    step = 10.0**ratio * dt
-    _, _, predicted, white = _forward(column, step, np.ones(dt.size + 1), 1.0e8)
-    noise = float(np.mean(white[1:, 0] ** 2))
-    return float(np.log(noise) + np.mean(np.log(predicted[1:] + 1.0))), noise
+    even = np.diff(t) < 1.5 * dt
+    noise = robust_sd(np.diff(y, 3)[even[2:] & even[1:-1] & even[:-2]]) ** 2 / 20.0
+    change = robust_sd((y[lag:] - y[:-lag])[t[lag:] - t[:-lag] < 1.5 * lag * dt]) ** 2
+    return noise, max(change - 2.0 * noise, 0.1 * change) / (lag * dt)
 
 
 def robust_sd(values: Floats) -> float:

@@ -16,10 +16,10 @@ import numpy as np
 
 from ..sensors.manifest import Tractor
 from .fusion.motion import SteerInput
-from .wheel_phase import Bools, integrate, per_second
-from .wheel_series import Floats, Walk, fit_walk, robust_sd, slow_noise, smooth
+from .wheel_series import Floats, Walk, fit_walk, robust_sd, signal, slow_noise, smooth, solve
+from .wheel_unit import Bools, integrate, per_second
 
-CORRELATION_TIME = 60.0  # s, of the stationary process that stands for the walk in `SteerInput`
+LONGEST = 60.0  # s, correlation time of the stationary process that stands for the walk in `SteerInput`
 HORIZON = 10.0  # s, lag at which a doubt of the bias counts as the walk that does the same
 MEAN_SD = np.radians(
     0.5
@@ -107,19 +107,21 @@ def steering_angle(
     doubt = calibration["body_gyro_bias"][1] ** 2 * HORIZON * np.diff(grid_t) if not rear else 0.0
     variance = ahead.variance + body.variance + doubt
     raw = np.append(0.0, np.cumsum(ahead.value - body.value))
-    drift, drift_variance = _slow_mean(grid_t, raw, variance, _standing(front, grid_t))
+    turned = np.append(0.0, np.cumsum(body.value))
+    drift, drift_variance = _slow_mean(grid_t, raw, turned, variance, _standing(front, grid_t))
     angle = raw - drift
     single = len({w.wheel for w in front}) == 1
     if single and tractor is not None:
         angle = _mean_angle(angle, tractor, front[0].wheel)
     dt = np.diff(grid_t)
     walk = float(np.median(variance / dt))
+    correlation_time = min(LONGEST, float(grid_t[-1] - grid_t[0]) / 3.0)
     excess = np.maximum(drift_variance - np.median(drift_variance), 0.0)
     return WheelSteer(
         t=grid_t,
         angle=angle,
-        sd=np.sqrt(0.5 * walk * CORRELATION_TIME + excess),
-        correlation_time=CORRELATION_TIME,
+        sd=np.sqrt(0.5 * walk * correlation_time + excess),
+        correlation_time=correlation_time,
         rate=_first_too((ahead.value - body.value) / dt),
         rate_sd=_first_too(np.sqrt(variance) / dt),
         walk=float(np.sqrt(walk)),
@@ -221,24 +223,29 @@ def _standing(wheels: Sequence[TurnedWheel], t: Floats) -> Bools:
     )
 
 
-def _slow_mean(grid_t: Floats, raw: Floats, variance: Floats, standing: Bools) -> tuple[Floats, Floats]:
-    """The random walk under the steering angle, which itself swings about zero, and that walk's variance.
+def _slow_mean(
+    grid_t: Floats, raw: Floats, turned: Floats, variance: Floats, standing: Bools
+) -> tuple[Floats, Floats]:
+    """The error under the steering angle (a random walk, and the gyros' scales against each other times the
+    angle `turned`), and its variance.
 
-    Steering is taken as noise with the slow scatter it shows; parts where it is turned far are left out,
-    and standstill.
+    Steering is taken as noise with the slow scatter it shows; parts where it is turned far are left out, and
+    standstill.
     """
     size = int(5.0 * per_second(grid_t))
-    centre = np.full(raw.size, np.median(raw[~standing]) if not standing.all() else np.median(raw))
-    found = centre, np.zeros(raw.size)
+    seen = raw[~standing] if not standing.all() else raw
+    error, doubt = np.full(raw.size, np.median(seen)), np.zeros(raw.size)
+    columns = (turned - turned.mean())[:, None]
     for _ in range(DRIFT_ITERATIONS):
-        swing = raw - found[0]
+        swing = raw - error
         spread = max(robust_sd(swing[~standing]), float(MEAN_SD))
         straight = ~standing & (np.abs(swing) < TURNING * spread)
         slow = max(slow_noise(swing[straight], size), float(MEAN_SD) ** 2)
-        noise = np.where(straight, slow, np.inf)
-        seen = smooth(raw - raw[0], np.empty((raw.size, 0)), Walk(variance, noise))
-        found = seen.columns[:, 0] + raw[0], seen.variance
-    return found
+        walked = smooth(raw - raw[0], columns, Walk(variance, np.where(straight, slow, np.inf)))
+        scale = solve([walked.whitened], np.array([GYRO_SCALE_SD]), [2 * size])
+        error, doubt = signal(walked, scale, columns)
+        error = error + raw[0]
+    return error, doubt
 
 
 def _mean_angle(angle: Floats, tractor: Tractor, wheel: str) -> Floats:

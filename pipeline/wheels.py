@@ -18,9 +18,11 @@ from ..sensors.manifest import Imd, Machine, Steer, Tractor, Wds
 from ..sensors.mounting import to_body
 from ..sensors.streams import FieldLog, ImuStream, SteerStream, StreamError, Warn, WheelStream
 from .fusion.motion import SteerInput
-from .wheel_phase import Bools, Doubt, estimate_phase
+from .wheel_phase import estimate_phase
 from .wheel_series import Floats, robust_sd
+from .wheel_spin import hub_spin
 from .wheel_steer import TurnedWheel, WheelSteer, sensor_angle, steering_angle
+from .wheel_unit import Bools, Doubt, Unit
 from .wheel_yaw import estimate_yaw_rate
 
 __all__ = [
@@ -90,10 +92,10 @@ class WheelMotion:
 
 
 CONSTANTS = (
-    "gyro_bias_axle", "gyro_scale_axle",
+    "gyro_bias_axle", "gyro_scale_axle", "axle_tilt",
     "accel_bias_x", "accel_bias_z", "offset_error_x", "offset_error_z", "accel_scale",
 )  # fmt: skip
-YAW_CONSTANTS = ("gyro_bias_x", "gyro_bias_z", "tilt_x", "tilt_z")
+YAW_CONSTANTS = ("gyro_bias_x", "gyro_bias_z", "tilt_x", "tilt_z", "roll_leak", "pitch_leak")
 
 
 def wheel_motion(
@@ -115,21 +117,10 @@ def wheel_motion(
         few = f"{stream.name}: {stream.t.size} samples are too few to find the wheel's phase"
         raise StreamError(f"{few}; it needs {LEAST_SAMPLES}")
     doubt = _doubt(sensor) if doubt is None else doubt
-    t = stream.t - stream.t[0]
-    force, rate = to_body(stream, sensor)
-    body = None if carrier is None else carrier.at(stream.t)
-    axle_ok, across_ok = usable(rate[:, 1]), usable(rate[:, 0]) & usable(rate[:, 2])
-    phase = estimate_phase(
-        t,
-        force[:, 2] - 1j * force[:, 0],
-        rate[:, 1],
-        radius,
-        complex(sensor.offset[2], -sensor.offset[0]),
-        axle_ok,
-        doubt,
-        None if body is None else body[:, 1],
-    )
-    yaw = estimate_yaw_rate(t, rate[:, 2] + 1j * rate[:, 0], phase, across_ok, doubt, body)
+    unit = _unit(stream, sensor, radius, carrier)
+    phase = estimate_phase(unit, doubt)
+    yaw = estimate_yaw_rate(unit, phase, doubt)
+    spin, spin_sd = hub_spin(unit, phase, yaw, sensor.wheel.startswith("front"))
     calibration = _named(CONSTANTS, phase.constants.value, phase.constants.sd)
     return WheelMotion(
         name=stream.name,
@@ -137,8 +128,8 @@ def wheel_motion(
         t=stream.t,
         phase=phase.phase,
         phase_sd=phase.phase_sd,
-        spin=phase.rolling,
-        spin_sd=phase.rolling_sd,
+        spin=spin,
+        spin_sd=spin_sd,
         yaw_rate=yaw.rate,
         yaw_rate_sd=yaw.rate_sd,
         roll_rate=yaw.roll_rate,
@@ -146,7 +137,23 @@ def wheel_motion(
         turned_variance=yaw.turned_variance,
         rest=phase.rest,
         calibration=calibration | _named(YAW_CONSTANTS, yaw.constants.value, yaw.constants.sd),
-        warnings=_unused(stream.name, axle_ok & across_ok),
+        warnings=_unused(stream.name, unit.axle_ok & unit.across_ok),
+    )
+
+
+def _unit(stream: WheelStream, sensor: Wds, radius: float, carrier: Carrier | None) -> Unit:
+    force, rate = to_body(stream, sensor)
+    return Unit(
+        t=stream.t - stream.t[0],
+        plane=force[:, 2] - 1j * force[:, 0],
+        side=force[:, 1],
+        axle=rate[:, 1],
+        across=rate[:, 2] + 1j * rate[:, 0],
+        axle_ok=usable(rate[:, 1]),
+        across_ok=usable(rate[:, 0]) & usable(rate[:, 2]),
+        radius=radius,
+        place=complex(sensor.offset[2], -sensor.offset[0]),
+        carrier=None if carrier is None else carrier.at(stream.t),
     )
 
 

@@ -1,0 +1,58 @@
+"""Speed of the hub: the wheel's spin less what the body that carries it adds by pitching and rolling.
+
+The axle's gyro reads the spin against the body plus the body's own rate about the axle: its pitch rate, and,
+on a steered wheel, its roll rate too: q·cos δ − p·sin δ. On rough ground that is 5 to 10 cm/s at the rim and
+says nothing of the speed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .wheel_phase import BIAS, BIAS_WANDER, SCALE, WANDER_LAG, Phase
+from .wheel_series import Floats, Walk, smooth
+from .wheel_unit import Bools, Unit, integrate, per_second, running_mean, walk_of
+from .wheel_yaw import TILT_X, TILT_Z, YawRate
+
+STRAIGHT = 60.0  # s to either side: over so long a front wheel's angle is taken to have no mean
+
+
+def hub_spin(unit: Unit, phase: Phase, yaw: YawRate, steered: bool) -> tuple[Floats, Floats]:
+    """Spin [rad/s] that times the effective radius is the hub's speed, and its standard deviation, (N,)."""
+    tilt = yaw.constants.value
+    across = unit.across.imag * tilt[TILT_X] + unit.across.real * tilt[TILT_Z]
+    rate = phase.gyro + np.where(unit.across_ok, across - np.median(across), 0.0)
+    rate = rate - _carried(unit, rate, _rough_angle(unit, yaw) if steered else 0.0, ~phase.rest)
+    step, noise, _ = walk_of(unit.t, rate, phase.rest, unit.axle_ok)
+    seen = smooth(rate, np.empty((rate.size, 0)), Walk(step, np.where(unit.axle_ok, noise, np.inf)))
+    spin = seen.columns[:, 0]
+    shape = np.column_stack([np.ones_like(spin), spin])
+    pair = np.ix_([BIAS, SCALE], [BIAS, SCALE])
+    doubt = np.sum((shape @ phase.constants.covariance[pair]) * shape, axis=1)
+    return spin, np.sqrt(seen.variance + doubt + BIAS_WANDER / WANDER_LAG)
+
+
+def _rough_angle(unit: Unit, yaw: YawRate) -> Floats:
+    """Steering angle of the wheel to a few degrees: its turning less the body's, without its slow mean."""
+    if unit.carrier is None:
+        return np.zeros_like(unit.t)
+    apart = yaw.turned - integrate(unit.t, unit.carrier[:, 2])
+    return np.asarray(apart - running_mean(apart, round(STRAIGHT * per_second(unit.t))))
+
+
+def _carried(unit: Unit, rate: Floats, angle: Floats | float, moving: Bools) -> Floats:
+    """What the axle's gyro shares with the carrier's rate about the axle: its image in it over changes of
+    50 ms.
+
+    A wheel carried by a pitching body turns with it in full when the contact does not slip, in part or not at
+    all in other suspensions, so the share is measured and not assumed; changes are used because bias and
+    speed drop out.
+    """
+    if unit.carrier is None:
+        return np.zeros_like(rate)
+    about_axle = unit.swings[:, 1] * np.cos(angle) - unit.swings[:, 0] * np.sin(angle)
+    lag = max(per_second(unit.t) // 20, 1)
+    both = moving[lag:] & moving[:-lag]
+    swing, seen = (x[lag:][both] - x[:-lag][both] for x in (about_axle, rate))
+    power = float(swing @ swing)
+    return about_axle * (float(swing @ seen) / power if power > 0.0 else 0.0)
