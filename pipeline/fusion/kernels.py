@@ -33,6 +33,8 @@ from .state import (
     HITCH,
     KAPPA,
     LAG,
+    LEVEL_PITCH,
+    LEVEL_ROLL,
     N_PITCH2,
     N_ROLL2,
     P_ACCEL,
@@ -350,11 +352,15 @@ def predict(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _still(kind):  # type: ignore[no-untyped-def]
-    """State that a standing machine shows directly."""
+    """State that a standing machine or the ground's slope shows directly."""
     if kind == STILL_V:
         return V
     if kind == STILL_SLIP:
         return SLIP1
+    if kind == LEVEL_ROLL:
+        return ROLL
+    if kind == LEVEL_PITCH:
+        return PITCH
     if kind == STILL_GX:
         return BGX
     if kind == STILL_GY:

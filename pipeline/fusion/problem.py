@@ -24,6 +24,7 @@ Ints = NDArray[np.int64]
 
 EVERY_TILT = 2  # nodes between tilt and hitch measurements: 25 Hz
 EVERY_WHEEL = 5
+LEVEL_EVERY = 50
 HITCH_FLOOR = 0.001  # m/s, white part of the seeder's lateral velocity
 SLOWEST_COURSE = 0.5  # m/s: below it a receiver's course is noise
 DRIVE_WINDOW = 51  # nodes: acceleration by the wheels is a slope over 1 s
@@ -34,7 +35,7 @@ FIXED = (4.0,)
 
 @dataclass(frozen=True)
 class Epochs:
-    """Positions of one receiver in the plane: t (UTC), x, y, stated deviation, whether fixed, velocity or NaN."""
+    """Positions of one receiver in the plane: t (UTC), x, y, z, stated deviation, whether fixed, velocity or NaN."""
 
     name: str
     body: str
@@ -42,6 +43,7 @@ class Epochs:
     t: Floats
     x: Floats
     y: Floats
+    z: Floats
     sd: Floats
     fixed: NDArray[np.bool_]
     vx: Floats
@@ -100,13 +102,13 @@ def epochs_of(log: FieldLog, origin: Origin) -> list[Epochs]:
         g = streams[name]
         ok = np.isfinite(g.lat) & np.isfinite(g.lon) & (g.quality > 0) & (np.abs(g.lat) < 89.9)
         alt = np.where(np.isfinite(g.alt), g.alt, origin.alt)[ok]
-        x, y, _ = to_enu(g.lat[ok], g.lon[ok], alt, origin)
+        x, y, z = to_enu(g.lat[ok], g.lon[ok], alt, origin)
         sd, stated = _stated_sd(g)
         moving = g.speed > SLOWEST_COURSE
         first = gps.body == "tractor" and not any(e.first for e in out)
         out.append(
             Epochs(
-                name, gps.body, first, g.t[ok], x, y, sd[ok], np.isin(g.quality, FIXED)[ok],
+                name, gps.body, first, g.t[ok], x, y, np.where(np.isfinite(g.alt[ok]), z, np.nan), sd[ok], np.isin(g.quality, FIXED)[ok],
                 np.where(moving, g.speed * np.cos(g.course), np.nan)[ok],
                 np.where(moving, g.speed * np.sin(g.course), np.nan)[ok],
                 g.heading[ok], stated,
@@ -217,7 +219,7 @@ def measurements_of(
     for e in epochs:
         parts += _gnss(t, e, levels, lag, yaw, nodes, p)
     parts += _motion(nodes, still, levels, p, wheel)
-    parts += _rest(nodes, still, p)
+    parts += _rest(nodes, still, p) + _level(t, epochs, yaw[0])
     kind, node, z, var, ahead = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.lexsort((kind, node))
     return Measurements(kind[order], node[order], z[order], var[order], ahead[order])
@@ -307,6 +309,38 @@ def _rest(nodes: Floats, still: NDArray[np.bool_], p: Floats) -> list[Part]:
     for kind, column in columns:
         parts.append(_part(kind, k, nodes[k, column], _rest_variance(nodes[k, column])))
     parts.append(_part(s.STILL_AX, k, nodes[k, s.U_FX], p[s.P_ACCEL] ** 2 / STEP))
+    return parts
+
+
+def ground_slope(e: Epochs) -> tuple[Floats, Floats]:
+    """Gradient (2,) of the ground east and north, and its covariance (2, 2), from altitudes along the path.
+
+    Ridge regression: altitudes err slowly, by twice the horizontal deviation; a gradient that the path does not
+    show has the prior of a field as level as the one it shows, never better than SLOPE.
+    """
+    ok = np.isfinite(e.z)
+    if ok.sum() < 20:
+        return np.zeros(2), np.eye(2) * (3.0 * physics.SLOPE) ** 2
+    A = np.column_stack([e.x[ok] - e.x[ok].mean(), e.y[ok] - e.y[ok].mean()])
+    z = e.z[ok] - np.median(e.z[ok])
+    independent = max((e.t[ok][-1] - e.t[ok][0]) / physics.TAU_GNSS, 2.0)
+    noise = (2.0 * float(np.median(e.sd[ok]))) ** 2 * ok.sum() / independent
+    loose = np.linalg.solve(A.T @ A / noise + np.eye(2) / 0.05**2, A.T @ z / noise)
+    prior = max(physics.SLOPE, float(np.hypot(*loose)))
+    information = A.T @ A / noise + np.eye(2) / prior**2
+    return np.linalg.solve(information, A.T @ z / noise), np.linalg.inv(information)
+
+
+def _level(t: Floats, epochs: Sequence[Epochs], yaw: Floats) -> list[Part]:
+    """Roll and pitch of the ground once a second, weighted so that all of them know its mean slope only once."""
+    gradient, covariance = ground_slope(next(e for e in epochs if e.first))
+    k = np.arange(0, t.size, LEVEL_EVERY)
+    c, sn = np.cos(yaw[k]), np.sin(yaw[k])
+    rough = physics.ROUGH**2 * 2.0 * physics.ROUGH_TIME / max(t[-1] - t[0], 1.0)
+    parts = []
+    for kind, axis in ((s.LEVEL_ROLL, np.column_stack([-sn, c])), (s.LEVEL_PITCH, np.column_stack([-c, -sn]))):
+        variance = np.einsum("ni,ij,nj->n", axis, covariance, axis) + rough
+        parts.append(_part(kind, k, np.arctan(axis @ gradient), variance * k.size))
     return parts
 
 
