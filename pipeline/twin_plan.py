@@ -94,8 +94,8 @@ class SoilPlan:
     side_force_*, yaw_moment_*: 1 sigma of the disturbance at each body (N, N·m), Gauss-Markov over distance
     with `correlation_length` m. roughness: displacement spectral density at 0.1 cycles/m, m³ (ISO 8608:
     class C 256e-6, D 1024e-6, E 4096e-6). slope_*: grade of the terrain. slip: mean longitudinal slip of
-    the tractor's wheels, slip_sd its scatter. crab_*_deg: about the constant angle between a body's axis and its
-    course.
+    the tractor's wheels, slip_sd its scatter. crab_*_deg: about the constant angle between a body's axis
+    and its course.
     """
 
     side_force_tractor: float = 900.0

@@ -18,6 +18,7 @@ class PlanError(ValueError):
 
 
 def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file. Raises PlanError that names the file."""
     try:
         return tomllib.loads(path.read_text("utf-8"))
     except OSError as error:
@@ -98,6 +99,7 @@ def _spoken(kind: Any) -> str:
 
 
 def near(key: str, known: Iterable[str]) -> str:
+    """ "; did you mean `...`?" of the nearest known key, or nothing."""
     close = difflib.get_close_matches(key, list(known), n=1, cutoff=0.5)
     return f"; did you mean `{close[0]}`?" if close else ""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -144,3 +145,12 @@ def test_the_sample_is_what_its_plan_and_seed_make(tmp_path: Path) -> None:
     for name in ("run.toml", "gps.nmea", "imd1.csv", "wds4.csv", "steer.csv"):
         made, kept = ((folder / "field1" / name).read_text() for folder in (tmp_path, ROOT / "data_samples"))
         assert made == kept, name
+
+
+def test_the_how_tos_examples_are_plans_that_work() -> None:
+    text = (ROOT / "docs/howto-synth.md").read_text()
+    plan, campaign = (tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", text, re.S))
+    assert manifest.parse(manifest_text(plan_from(plan))).run.id == "sandy-1"
+    assert len(list(campaign_from(campaign).passes())) == 2 * 2 * 2 * 3
+    for name in PRESETS:
+        assert f"| `{name}` |" in text
