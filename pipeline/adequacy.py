@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,9 @@ from .bounds import (
 
 ADEQUATE, NOT_ADEQUATE, INCONCLUSIVE = "adequate", "not adequate", "inconclusive"
 MOST_PASSES = 1000
+BLOCKING = frozenset(
+    {"tractor-not-testable", "small-swing", "alignment", "null"}
+)  # more passes do not mend these
 
 
 @dataclass(frozen=True)
@@ -125,16 +128,19 @@ def judge_pass(one: PassStatistics | None, rules: Rules = Rules()) -> Verdict:
     return _judge((one,), rules, "pass")
 
 
-def judge_campaign(passes: Sequence[PassStatistics], rules: Rules = Rules()) -> Verdict:
-    """The verdict of scope `campaign` over the passes of one version of the machine."""
+def judge_campaign(passes: Sequence[PassStatistics], rules: Rules = Rules(), foresee: bool = True) -> Verdict:
+    """The verdict of scope `campaign` over the passes of one version of the machine.
+
+    foresee : whether to find how many passes would decide (left out inside Monte Carlo)
+    """
     compared = tuple(p for p in passes if p.responses)
     if not compared:
         text = "no pass has a row that was compared"
         return Verdict(INCONCLUSIVE, "campaign", (text,), ("no-row",), {}, 0, None, rules)
-    return _judge(compared, rules, "campaign")
+    return _judge(compared, rules, "campaign", foresee)
 
 
-def _judge(passes: tuple[PassStatistics, ...], rules: Rules, scope: str) -> Verdict:
+def _judge(passes: tuple[PassStatistics, ...], rules: Rules, scope: str, foresee: bool = False) -> Verdict:
     names = [r for r in RESPONSES if all(r in p.responses for p in passes)]
     summaries = {name: summarise(passes, name) for name in names}
     spread_known = scope == "campaign"
@@ -144,10 +150,11 @@ def _judge(passes: tuple[PassStatistics, ...], rules: Rules, scope: str) -> Verd
         reasons, codes, value = _condemned(found, against, rules, scope), ("discrepancy",), NOT_ADEQUATE
         return Verdict(value, scope, reasons, codes, found, len(passes), None, rules)
     doubts = _doubts(passes, found, rules, scope)
-    needed = passes_needed(passes, summaries, rules) if scope == "campaign" and doubts else None
+    blocked = bool(BLOCKING & doubts.keys())
+    needed = passes_needed(passes, summaries, rules, blocked) if foresee and doubts else None
     if not doubts:
         return Verdict(ADEQUATE, scope, _praised(found, rules, scope), (), found, len(passes), None, rules)
-    reasons = tuple(doubts.values()) + _needed_words(needed, doubts, scope) + _of_this_pass(scope)
+    reasons = tuple(doubts.values()) + (_needed_words(needed) if foresee else ()) + _of_this_pass(scope)
     return Verdict(INCONCLUSIVE, scope, reasons, tuple(doubts), found, len(passes), needed, rules)
 
 
@@ -282,9 +289,12 @@ def _doubts_of_single_passes(
 
 
 def passes_needed(
-    passes: Sequence[PassStatistics], summaries: Mapping[str, Summary], rules: Rules
+    passes: Sequence[PassStatistics], summaries: Mapping[str, Summary], rules: Rules, blocked: bool = False
 ) -> int | None:
     """The least number of passes like these whose intervals would decide, None when no number would.
+
+    blocked : something that more passes do not mend stands against `adequate`; only `not adequate` can
+    be decided.
 
     The means, spread and uncertainties stay as they are; only n, the degrees of freedom and the normaliser's
     variance follow the number of passes.
@@ -294,19 +304,25 @@ def passes_needed(
     if not usable:
         return None
     level = 1.0 - rules.alpha / len(usable)
-    for count in range(max(len(passes), rules.least_passes), MOST_PASSES + 1):
+    for count in _counts(max(len(passes), rules.least_passes)):
         dof = max(count - cells, 1)
         high = [upper(s, half_width(s, 1.0 - rules.alpha, count, dof)) for s in usable.values()]
         low = [lower(s, half_width(s, level, count, dof)) for s in usable.values()]
-        all_under = len(usable) == len(summaries) and max(high) < rules.threshold
+        all_under = not blocked and len(usable) == len(summaries) and max(high) < rules.threshold
         if all_under or max(low) > rules.threshold:
             return count
     return None
 
 
-def _needed_words(needed: int | None, doubts: Mapping[str, str], scope: str) -> tuple[str, ...]:
-    if scope == "pass":
-        return ()
+def _counts(first: int) -> Iterator[int]:
+    """Numbers of passes to try: each up to 30, then in steps of a tenth."""
+    count = first
+    while count <= MOST_PASSES:
+        yield count
+        count += max(1, count // 10 if count >= 30 else 1)
+
+
+def _needed_words(needed: int | None) -> tuple[str, ...]:
     if needed is not None:
         return (f"about {needed} passes like these would decide",)
     return ("no number of passes like these would decide: better inputs or measurements would",)

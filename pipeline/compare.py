@@ -15,7 +15,7 @@ from .alignment import bound, remaining
 from .bounds import PassStatistics, ResponseStatistics
 from .fusion.motion import Motion
 from .grid import RowGrid
-from .replay import ReplaySettings
+from .replay_settings import ReplaySettings
 from .rows import PassedOver, Row, survey
 from .uncertainty import GROUPS, input_changes, measuring_changes
 from .window_fit import Context, WindowFit, fit_windows, make_context
@@ -157,7 +157,7 @@ def compare_row(context: Context, parameters: Mapping[str, float]) -> RowCompari
     return RowComparison(
         context=context,
         fits=fits,
-        valid={n: mask > 0.5 for n, mask in _joined(fits, [f.valid.astype(np.float64) for f in fits]).items()},
+        valid=_masks(fits),
         measured=dict(channel for body in context.grid.bodies for channel in body.channels),
         residual=_joined(fits, [f.bounded for f in fits]),
         unaligned=_joined(whole, [f.start for f in whole]),
@@ -179,6 +179,11 @@ def _joined(fits: Sequence[WindowFit], stacked: Sequence[Floats]) -> dict[str, F
         for name, place in on_grid.slices(fit.parts):
             found.setdefault(name, []).append(values[place])
     return {name: np.concatenate(parts) for name, parts in found.items()}
+
+
+def _masks(fits: Sequence[WindowFit]) -> dict[str, Mask]:
+    joined = _joined(fits, [f.valid.astype(np.float64) for f in fits])
+    return {name: values > 0.5 for name, values in joined.items()}
 
 
 def _variances(

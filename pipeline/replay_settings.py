@@ -1,4 +1,5 @@
-"""Choices of the comparison, fixed before data are seen; each with its reason in docs/method-comparison.md."""
+"""Choices of the comparison, fixed before data are seen; each with its reason in
+docs/method-comparison.md."""
 
 from __future__ import annotations
 

@@ -19,7 +19,6 @@ from .grid import Part, RowGrid
 from .replay import (
     OVERRUN,
     Drive,
-    ReplaySettings,
     Window,
     cut_windows,
     drive_of,
@@ -28,6 +27,7 @@ from .replay import (
     shifted,
     window_prior,
 )  # fmt: skip
+from .replay_settings import ReplaySettings
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
