@@ -8,6 +8,7 @@ import numpy as np
 
 from . import _layout as at
 from ._layout import Floats, Options, Tables
+from ._steering import RING_SIZE
 from .inputs import Controls, Driver, ForceSeries
 from .machine import Machine, Tyre
 from .settings import SimulationSettings
@@ -117,6 +118,10 @@ def pack_driver(driver: Driver | None, step: float) -> Floats:
     if steps < 1 or abs(steps * step - driver.period) > 1e-9:
         raise ValueError(
             f"driver.period is {driver.period:g} s; it must be a multiple of the step of {step:g} s"
+        )
+    if not driver.delay / driver.period < RING_SIZE - 2:
+        raise ValueError(
+            f"driver.delay is {driver.delay:g} s; it must be below {(RING_SIZE - 2) * driver.period:g} s"
         )
     row[[at.ACTIVE, at.PREVIEW, at.DELAY, at.LAG]] = 1.0, driver.preview, driver.delay, driver.lag
     row[[at.MAX_RATE, at.MAX_ANGLE, at.GAIN, at.PERIOD_STEPS]] = (
