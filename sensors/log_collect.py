@@ -79,6 +79,7 @@ def _with_room(old: NDArray[Any], used: int, rows: int) -> NDArray[Any]:
 
 
 def take_imu(group: Group) -> Values:
+    """sensor_msgs/Imu: specific force (m/s²) and angular velocity (rad/s), (n, 3)."""
     return {
         "specific_force": group.column("linear_acceleration"),
         "angular_velocity": group.column("angular_velocity"),
@@ -86,10 +87,12 @@ def take_imu(group: Group) -> Values:
 
 
 def take_mag(group: Group) -> Values:
+    """sensor_msgs/MagneticField: field (T), (n, 3)."""
     return {"magnetic_field": group.column("magnetic_field")}
 
 
 def take_fix(group: Group) -> Values:
+    """sensor_msgs/NavSatFix: status, degrees, m, and variances in ENU (m²), (n, 3)."""
     return {
         "status": group.column("status.status"),
         "lat": group.column("latitude"),
@@ -101,6 +104,7 @@ def take_fix(group: Group) -> Values:
 
 
 def take_velocity(group: Group) -> Values:
+    """geometry_msgs/TwistStamped or TwistWithCovarianceStamped in ENU: m/s."""
     twist = "twist" if "twist.linear.x" in group.layout.leaves else "twist.twist"
     return {"east": group.column(f"{twist}.linear.x"), "north": group.column(f"{twist}.linear.y")}
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .cdr import Group, Ints
+from .cdr import Group
 from .health import health_of
 from .log_collect import (
     Found,
@@ -33,7 +33,7 @@ from .log_collect import (
 )
 from .log_topics import GNSS_EXTRAS, from_ns
 from .manifest import Manifest, ManifestError, parse
-from .mcap_records import McapError
+from .mcap_records import Ints, McapError
 from .mcap_scan import Fault, Recording, open_recording
 from .rosbag2 import files_of
 from .streams import FieldLog, Floats, GnssStream, ImuStream, SteerStream, Stream, Warn, WheelStream

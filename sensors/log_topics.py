@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .cdr import Bytes, Ints, Template, encode, make_template, message_type, stamp_columns
+from .cdr import Template, encode, make_template, message_type, stamp_columns
+from .mcap_records import Bytes, Ints
 from .ros_messages import definition
 from .streams import FieldLog, Floats, GnssStream, ImuStream, SteerStream
 

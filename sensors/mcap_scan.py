@@ -171,10 +171,18 @@ def records_of(data: Bytes, table: Table, leave: Sequence[Op]) -> Iterator[Recor
             yield Fault(f"an attachment of {length} bytes at byte {start - FRAME}", "it was passed over")
             continue
         record = parse(data, opcode, start, length)
-        if isinstance(record, Attachment) and record.crc not in (0, _crc(data, start, start + length - 4)):
+        if isinstance(record, Attachment) and record.crc not in (
+            0,
+            _crc(data, start, start + _summed(record)),
+        ):
             yield Fault(f"the attachment {record.name} has a wrong CRC", "it was passed over")
         elif record is not None:
             yield record
+
+
+def _summed(record: Attachment) -> int:
+    """Bytes of an attachment's content in front of its CRC (behind it there may be padding)."""
+    return 8 + 8 + 4 + len(record.name.encode()) + 4 + len(record.media_type.encode()) + 8 + len(record.data)
 
 
 def _loose(table: Table) -> Table:
