@@ -15,9 +15,10 @@ from .checks import rows_of
 from .clocks import ClockError, HostToUtc, SampleTimes
 from .formats import FORMATS
 from .health import health_of
-from .manifest import Gps, Manifest, Sensor
+from .manifest import Manifest, Sensor
 from .raw import Floats, Ints, Raw, RawError, RawGnss, RawImu, RawSteer
 from .streams import FieldLog, GnssStream, ImuStream, SteerStream, Stream, Warn, WheelStream
+from .utc import utc_map
 
 MANIFEST = "run.toml"
 HEAD = 4096
@@ -87,7 +88,7 @@ def _assemble(
 ) -> FieldLog:
     base = _base_ns(raws.values())
     timed, warnings, facts = _host_times(run, raws, base)
-    to_utc, gnss_warnings, clock = _utc_map(run, raws, base)
+    to_utc, gnss_warnings, clock = utc_map(run, raws, timed, base)
     streams: dict[str, Stream] = {}
     for name, raw in raws.items():
         if isinstance(raw, RawGnss):
@@ -184,38 +185,6 @@ def _clock_facts(times: SampleTimes) -> dict[str, Any]:
         "counter_wraps": times.wraps,
         "counter_resets": int(times.resets.size),
         "host_jumps": len(times.host_jumps),
-    }
-
-
-def _utc_map(
-    run: Manifest, raws: Mapping[str, Raw], base: int
-) -> tuple[HostToUtc, list[Warn], dict[str, Any]]:
-    """The logger's clock against UTC, from the first GPS log with host times; UTC relative to `base`."""
-    for name, raw in raws.items():
-        if isinstance(raw, RawGnss) and raw.host_ns is not None:
-            sensor: Gps = run.of_kind("gps")[name]
-            host, utc = _seconds(raw.host_ns, base), raw.utc - base * 1.0e-9
-            host, jumps = clocks.steady_host(host, utc, sensor.rate)
-            found = clocks.host_to_utc(host, utc, sensor.latency)
-            file = str(sensor.file)
-            warnings = [
-                Warn(
-                    f"the logger's clock jumped by {size:.3f} s", "taken out", name, file, int(raw.rows[row])
-                )
-                for row, size in jumps
-            ]
-            return found, warnings, _utc_facts(found, name, host)
-    raise RawError(f"{MANIFEST}: no GPS log has the logger's time in front of its sentences")
-
-
-def _utc_facts(found: HostToUtc, name: str, host: Floats) -> dict[str, Any]:
-    middle = float(host.mean())
-    return {
-        "source": name,
-        "host_minus_utc_s": float(found.line(np.array([middle]))[0]) - found.latency,
-        "host_drift_ppm": 1.0e6 * found.line.slope,
-        "assumed_gnss_latency_s": found.latency,
-        "assumed_imu_least_latency_s": clocks.IMU_LEAST_LATENCY,
     }
 
 

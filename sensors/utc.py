@@ -1,0 +1,129 @@
+"""One map from the logger's clock to UTC for a whole pass."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from . import clocks
+from .alignment import AlignmentError, Offset, motion_offset
+from .clocks import ClockLine, HostToUtc, SampleTimes
+from .geodesy import to_enu
+from .manifest import Gps, Imd, Manifest
+from .mounting import mounting_matrix
+from .raw import Floats, Ints, Raw, RawError, RawGnss, RawImu
+from .streams import Warn
+
+
+def utc_map(
+    run: Manifest, raws: Mapping[str, Raw], timed: Mapping[str, SampleTimes], base: int
+) -> tuple[HostToUtc, list[Warn], dict[str, Any]]:
+    """The logger's clock against UTC, both in seconds from `base` (ns); warnings; findings for the health.
+
+    From the arrivals of the first GPS log that has host times; without one, from the motion.
+
+    Raises RawError : there are no host times, and the motion does not tell the offset.
+    """
+    receivers: dict[str, Gps] = run.of_kind("gps")
+    for name, sensor in receivers.items():
+        raw = raws[name]
+        if isinstance(raw, RawGnss) and raw.host_ns is not None:
+            return _from_arrivals(name, sensor, raw, raw.host_ns, base)
+    name, sensor = next(iter(receivers.items()))
+    return _from_motion(run, name, sensor, raws, timed, base)
+
+
+def _from_arrivals(
+    name: str, sensor: Gps, raw: RawGnss, host_ns: Ints, base: int
+) -> tuple[HostToUtc, list[Warn], dict[str, Any]]:
+    host, utc = np.asarray((host_ns - base) * 1.0e-9), raw.utc - base * 1.0e-9
+    steady, jumps = clocks.steady_host(host, utc, sensor.rate)
+    found = clocks.host_to_utc(steady, utc, sensor.latency)
+    file = str(sensor.file)
+    warnings = [
+        Warn(f"the logger's clock jumped by {size:.3f} s", "taken out", name, file, int(raw.rows[row]))
+        for row, size in jumps
+    ]
+    middle = np.array([steady.mean()])
+    return (
+        found,
+        warnings,
+        {
+            "source": f"arrival of {name}'s sentences",
+            "host_minus_utc_s": float(found.line(middle)[0]) - found.latency,
+            "host_minus_utc_sd_s": sensor.latency_sd,
+            "host_drift_ppm": 1.0e6 * found.line.slope,
+            "assumed_gnss_latency_s": sensor.latency,
+            "assumed_imu_least_latency_s": clocks.IMU_LEAST_LATENCY,
+        },
+    )
+
+
+def _from_motion(
+    run: Manifest,
+    name: str,
+    sensor: Gps,
+    raws: Mapping[str, Raw],
+    timed: Mapping[str, SampleTimes],
+    base: int,
+) -> tuple[HostToUtc, list[Warn], dict[str, Any]]:
+    gnss = raws[name]
+    unit = next((key for key, imd in run.of_kind("imd").items() if imd.body == sensor.body), None)
+    if unit is None or not isinstance(gnss, RawGnss):
+        raise RawError(f"{sensor.file}: no logger's time in front of the sentences, and no IMD on its body")
+    try:
+        found = _offset(run, sensor, gnss, unit, raws[unit], timed[unit], base)
+    except AlignmentError as error:
+        raise RawError(
+            f"{sensor.file}, row {gnss.rows[0]}: no logger's time in front of the sentences, and the motion "
+            f"does not tell the offset ({error}); log the time with each sentence, or record some turning"
+        ) from None
+    line = ClockLine(0.0, found.value - clocks.IMU_LEAST_LATENCY, 0.0, 0.0)
+    what = "no logger's time in front of the sentences"
+    effect = f"offset {found.value:.3f} s found from the motion, to {found.sd:.3f} s"
+    return (
+        HostToUtc(line, 0.0),
+        [Warn(what, effect, name, sensor.file)],
+        {
+            "source": f"turning of {unit} against the course of {name}",
+            "host_minus_utc_s": found.value,
+            "host_minus_utc_sd_s": found.sd,
+            "explained_by_motion": found.explained,
+            "host_drift_ppm": 0.0,
+        },
+    )
+
+
+def _offset(
+    run: Manifest, sensor: Gps, gnss: RawGnss, unit: str, raw: Raw, times: SampleTimes, base: int
+) -> Offset:
+    """The offset from one unit's angular velocity and the antenna's course."""
+    assert isinstance(raw, RawImu)
+    machine = run.machine
+    axle = machine.tractor.rear_axle
+    if sensor.body == "seeder" and machine.seeder is not None:
+        axle = float(np.mean(machine.seeder.axles))
+    imd: Imd = run.of_kind("imd")[unit]
+    turned = np.asarray(raw.angular_velocity[times.index] @ mounting_matrix(imd.rotation_deg).T)
+    utc = gnss.utc - base * 1.0e-9
+    course, speed = _over_ground(gnss)
+    lever = (axle + sensor.position[0], sensor.position[2])
+    return motion_offset(times.t, turned, utc, course, speed, lever)
+
+
+def _over_ground(gnss: RawGnss) -> tuple[Floats, Floats]:
+    """Course and speed as the receiver states them, or from its positions where it never does."""
+    course, speed = gnss.values["course"], gnss.values["speed"]
+    if np.isfinite(course).sum() > 1:
+        return course, speed
+    known = np.flatnonzero(np.isfinite(gnss.values["lat"]))
+    east, north = np.full(course.shape, np.nan), np.full(course.shape, np.nan)
+    if known.size < 3:
+        return east, north
+    lat, lon, alt = (gnss.values[key][known] for key in ("lat", "lon", "alt"))
+    e, n, _ = to_enu(lat, lon, alt, SimpleNamespace(lat=lat[0], lon=lon[0], alt=alt[0]))
+    east[known], north[known] = np.gradient(e, gnss.utc[known]), np.gradient(n, gnss.utc[known])
+    return np.arctan2(north, east), np.hypot(east, north)
