@@ -71,7 +71,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
         "levels": [[value, label] for value, label in panel.levels],
         "curves": [
             {
-                "name": c.curve.name,
+                "name": _label(c.curve),
                 "role": c.curve.role,
                 "style": c.curve.style,
                 "hidden": c.hidden,

@@ -34,7 +34,7 @@ def head_of(view: PassView) -> Head:
     """The first screen of a pass's report."""
     run = view.manifest.run
     value = str(deep(view.metrics, "verdict", "value") or "inconclusive")
-    version = deep(view.metrics, "provenance", "version") or ""
+    version = deep(view.metrics, "provenance", "versions", "smts-validate") or ""
     return Head(
         title=f"Adequacy report: {run.id}",
         tested=_tested(view),
@@ -73,7 +73,7 @@ def _number(view: PassView, kind: str) -> Number:
     found: Mapping[str, Any] = deep(view.metrics, "discrepancy", kind) or {}
     interval = found.get("interval")
     if interval and all(isinstance(end, int | float) for end in interval):
-        words = f"interval {number(interval[0], 1)} to {number(interval[1], 1, '%')}"
+        words = f"{number(interval[0], 1)} to {number(interval[1], 1, '%')} with measuring error taken out"
     else:
         words = "no interval" if found.get("combined") is not None else "no percentage can be given"
     threshold = deep(view.metrics, "verdict", "threshold_percent") or deep(

@@ -10,9 +10,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from fpdf import FPDF
-from fpdf.enums import XPos, YPos
-from fpdf.fonts import FontFace
-from pypdf import PdfReader, PdfWriter, Transformation
+from fpdf.enums import MethodReturnValue, XPos, YPos
+from pypdf import PageObject, PdfReader, PdfWriter
+from pypdf.generic import ArrayObject, DictionaryObject, FloatObject, NameObject, StreamObject
 
 from . import figures_style as style
 from .report_blocks import Block, Chart, Equation, Missing, Section, Table, Text
@@ -22,6 +22,7 @@ MARGIN = 18.0  # mm
 PAGE_WIDTH, PAGE_HEIGHT = 210.0, 297.0
 TEXT_WIDTH = PAGE_WIDTH - 2.0 * MARGIN
 FOOT = 16.0  # mm at the bottom
+TABLE_SIZE, LINE = 7.5, 3.9  # pt, mm
 POINT = 25.4 / 72.0  # mm
 INK, MUTED, RULE, CARD = (29, 35, 41), (89, 99, 110), (200, 206, 213), (244, 245, 247)
 VERDICT_COLOURS = {"adequate": (11, 107, 58), "not adequate": (163, 32, 13), "inconclusive": (122, 77, 0)}
@@ -226,39 +227,72 @@ def _place(sheet: _Sheet, picture: Picture) -> None:
 
 
 def _table(sheet: _Sheet, table: Table) -> None:
+    """A table with a rule under every row; its heading is repeated on each page that it reaches."""
+    widths = _widths(sheet, table)
     _room(sheet, 24.0)
     _write(sheet, table.caption, 9.0, "B")
     sheet.ln(0.8)
-    sheet.set_font("Sans", size=7.5)
     sheet.set_text_color(*INK)
-    sheet.set_fill_color(255)
     sheet.set_draw_color(*RULE)
-    align = ["LEFT", *(("RIGHT" if table.numeric else "LEFT") for _ in table.columns[1:])]
-    with sheet.table(
-        borders_layout="HORIZONTAL_LINES",
-        text_align=align,
-        col_widths=_widths(sheet, table),
-        line_height=4.2,
-        first_row_as_headings=True,
-        headings_style=FontFace(emphasis="BOLD"),
-        width=TEXT_WIDTH,
-        padding=(0.5, 1.0),
-    ) as grid:
-        for row in (table.columns, *table.rows):
-            cells = grid.row()
-            for cell in row:
-                cells.cell(cell)
+    _table_row(sheet, table, table.columns, widths, "B")
+    for row in table.rows:
+        if sheet.get_y() + _row_height(sheet, row, widths) > PAGE_HEIGHT - FOOT - 4.0:
+            sheet.add_page()
+            _table_row(sheet, table, table.columns, widths, "B")
+        _table_row(sheet, table, row, widths, "")
     sheet.ln(4.0)
 
 
+def _table_row(
+    sheet: _Sheet, table: Table, row: Sequence[str], widths: Sequence[float], emphasis: str
+) -> None:
+    sheet.set_font("Sans", emphasis, TABLE_SIZE)
+    top, height = sheet.get_y(), _row_height(sheet, row, widths)
+    left = MARGIN
+    for index, (text, width) in enumerate(zip(row, widths, strict=True)):
+        align = "R" if table.numeric and index > 0 else "L"
+        for number, line in enumerate(_lines(sheet, text, width)):
+            sheet.set_xy(left, top + 0.5 + number * LINE)
+            sheet.cell(width, LINE, line, align=align)
+        left += width
+    sheet.line(MARGIN, top + height, MARGIN + sum(widths), top + height)
+    sheet.set_xy(MARGIN, top + height)
+
+
+def _row_height(sheet: _Sheet, row: Sequence[str], widths: Sequence[float]) -> float:
+    return 1.0 + LINE * max(len(_lines(sheet, text, width)) for text, width in zip(row, widths, strict=True))
+
+
+def _lines(sheet: _Sheet, text: str, width: float) -> list[str]:
+    """The text broken to a cell's width; the common case, one line, costs one measurement."""
+    if not text or _text_width(sheet, text) <= width - 2.0:
+        return [text]
+    broken = sheet.multi_cell(width, LINE, text, dry_run=True, output=MethodReturnValue.LINES)
+    return [str(line) for line in broken]
+
+
 def _widths(sheet: _Sheet, table: Table) -> list[float]:
-    """Relative column widths from the longest text in each, none starved."""
-    sheet.set_font("Sans", size=7.5)
-    longest = [
-        max(_text_width(sheet, row[column]) for row in (table.columns, *table.rows) if column < len(row))
+    """Column widths in mm from the longest text in each; the widest give way where they do not fit."""
+    sheet.set_font("Sans", "B", TABLE_SIZE)
+    wanted = [
+        max(_text_width(sheet, row[column]) for row in (table.columns, *table.rows)) + 4.0
         for column in range(len(table.columns))
     ]
-    return [min(max(1.12 * width + 4.0, 12.0), 0.5 * TEXT_WIDTH) for width in longest]
+    spare = TEXT_WIDTH - sum(wanted)
+    if spare >= 0.0:
+        return [width + min(spare / len(wanted), 6.0) for width in wanted]
+    fair = _fair_share(wanted, TEXT_WIDTH)
+    return [min(width, fair) for width in wanted]
+
+
+def _fair_share(wanted: Sequence[float], room: float) -> float:
+    """The greatest width at which all columns, cut to it, fit into the room."""
+    ordered = sorted(wanted)
+    for index, width in enumerate(ordered):
+        share = (room - sum(ordered[:index])) / (len(ordered) - index)
+        if width > share:
+            return share
+    return ordered[-1]
 
 
 def _text_width(sheet: _Sheet, text: str) -> float:
@@ -266,15 +300,34 @@ def _text_width(sheet: _Sheet, text: str) -> float:
 
 
 def _with_figures(document: bytes, placed: Sequence[_Placed], figures: bytes) -> bytes:
-    """The document with each figure's page merged in at its place."""
+    """The document with each figure drawn at its place, as a form: its content is carried over unread."""
     writer = PdfWriter(clone_from=io.BytesIO(document))
     sources = PdfReader(io.BytesIO(figures)).pages if placed else []
-    for item in placed:
-        left = item.x / POINT
-        bottom = (PAGE_HEIGHT - item.y - item.picture.height) / POINT
-        scale = item.picture.width / POINT / float(sources[item.picture.number].mediabox.width)
-        move = Transformation().scale(scale).translate(left, bottom)
-        writer.pages[item.page - 1].merge_transformed_page(sources[item.picture.number], move)
+    for index, item in enumerate(placed):
+        _stamp(writer, writer.pages[item.page - 1], sources[item.picture.number], item, f"/Figure{index}")
     buffer = io.BytesIO()
     writer.write(buffer)
     return buffer.getvalue()
+
+
+def _stamp(writer: PdfWriter, page: PageObject, source: PageObject, item: _Placed, name: str) -> None:
+    form = StreamObject()
+    form.set_data(source["/Contents"].get_object().get_data())
+    form.update(
+        {
+            NameObject("/Type"): NameObject("/XObject"),
+            NameObject("/Subtype"): NameObject("/Form"),
+            NameObject("/BBox"): ArrayObject(FloatObject(edge) for edge in source.mediabox),
+            NameObject("/Resources"): source["/Resources"].get_object().clone(writer),
+        }
+    )
+    resources = page["/Resources"].get_object()
+    forms = resources.setdefault(NameObject("/XObject"), DictionaryObject()).get_object()
+    forms[NameObject(name)] = writer._add_object(form.flate_encode())
+    scale = item.picture.width / POINT / float(source.mediabox.width)
+    left, bottom = item.x / POINT, (PAGE_HEIGHT - item.y - item.picture.height) / POINT
+    drawing = StreamObject()
+    drawing.set_data(f"q {scale:.6f} 0 0 {scale:.6f} {left:.4f} {bottom:.4f} cm {name} Do Q".encode())
+    parts = page["/Contents"]
+    kept = parts.get_object() if isinstance(parts.get_object(), ArrayObject) else [page.raw_get("/Contents")]
+    page[NameObject("/Contents")] = ArrayObject([*kept, writer._add_object(drawing)])

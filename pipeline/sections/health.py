@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..report_blocks import Block, Missing, Section, Table, Text
 from ..report_view import PassView
+from ._common import deep, number
 
 MOST_WARNINGS = 40
 ABSENT = {
@@ -18,48 +19,93 @@ ABSENT = {
         "No steering sensor: the steering comes from the units on the front wheels, where there are any."
     ),
 }
+COLUMNS = (
+    "sensor", "what", "samples", "rate, Hz", "lost", "doubled", "gaps", "longest gap, ms", "drift, ppm",
+    "latency, ms",
+)  # fmt: skip
+FIXES = {
+    "0": "none",
+    "1": "single",
+    "2": "differential",
+    "4": "RTK fixed",
+    "5": "RTK float",
+    "6": "dead reckoning",
+}
+
+Entry = Mapping[str, Any]
 
 
 def build(view: PassView) -> Section:
     """The section."""
-    blocks: list[Block] = [_sensors(view.metrics.get("health") or {})]
+    health: Mapping[str, Entry] = view.metrics.get("health") or {}
+    blocks: list[Block] = [_sensors(view, health), *_gnss(view, health), *_clock(health)]
     blocks += [Missing(text) for kind, text in ABSENT.items() if not view.manifest.of_kind(kind)]
-    return Section(
-        "health", "Sensors and warnings", (*blocks, *_warnings(view.metrics.get("warnings") or []))
-    )
+    warnings = view.metrics.get("warnings") or []
+    return Section("health", "Sensors and warnings", (*blocks, *_warnings(warnings)))
 
 
-def _sensors(health: Mapping[str, Any]) -> Block:
-    if not health:
-        return Missing("The result holds no health figures of the sensors.")
-    columns = list(
-        dict.fromkeys(
-            key for entry in health.values() if isinstance(entry, Mapping) for key in _scalars(entry)
-        )
-    )
+def _sensors(view: PassView, health: Mapping[str, Entry]) -> Block:
     rows = tuple(
-        (name, *(_cell(entry.get(key)) for key in columns))
-        for name, entry in health.items()
-        if isinstance(entry, Mapping)
+        (name, _kind(sensor), *_figures(health[name]))
+        for name, sensor in view.manifest.sensors.items()
+        if name in health
     )
-    return Table(
-        "health", "Health of the sensors", ("sensor", *(key.replace("_", " ") for key in columns)), rows
-    )
+    if not rows:
+        return Missing("The result holds no health figures of the sensors.")
+    return Table("health", "Health of the sensors", COLUMNS, rows)
 
 
-def _scalars(entry: Mapping[str, Any]) -> list[str]:
-    return [key for key, value in entry.items() if not isinstance(value, Mapping | list)]
+def _kind(sensor: Any) -> str:
+    place = getattr(sensor, "body", None) or getattr(sensor, "wheel", None) or ""
+    return f"{sensor.kind.upper()} {str(place).replace('_', ' ')}".strip()
 
 
-def _cell(value: Any) -> str:
-    if value is None:
-        return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.4g}".replace("-", "−") if isinstance(value, float) else str(value)
+def _figures(entry: Entry) -> tuple[str, ...]:
+    longest = entry.get("longest_gap_s")
+    return (
+        _count(entry.get("samples")), number(entry.get("rate_hz"), 2), _count(entry.get("lost")),
+        _count(entry.get("doubled")), _count(entry.get("gaps")),
+        number(None if longest is None else 1000.0 * longest, 0), number(entry.get("drift_ppm"), 0),
+        number(deep(entry, "latency_above_least_ms", "median"), 1),
+    )  # fmt: skip
 
 
-def _warnings(warnings: list[Mapping[str, Any]]) -> tuple[Block, ...]:
+def _count(value: Any) -> str:
+    return "–" if value is None else str(value)
+
+
+def _gnss(view: PassView, health: Mapping[str, Entry]) -> list[Block]:
+    rows = []
+    for name in view.manifest.of_kind("gps"):
+        entry = health.get(name) or {}
+        fixes = entry.get("quality") or {}
+        total = sum(fixes.values())
+        shares = (
+            ", ".join(f"{FIXES.get(key, key)} {100.0 * n / total:.0f} %" for key, n in fixes.items()) or "–"
+        )
+        sd = entry.get("median_sd_m")
+        rows.append(
+            (
+                name,
+                shares,
+                number(None if sd is None else 100.0 * sd, 1, "cm"),
+                _count(entry.get("without_position")),
+            )
+        )
+    columns = ("receiver", "fix", "median stated sd", "epochs without position")
+    return [Table("fixes", "GNSS fix quality", columns, tuple(rows))] if health else []
+
+
+def _clock(health: Mapping[str, Entry]) -> list[Block]:
+    clock = health.get("clock") or {}
+    offset = clock.get("host_minus_utc_s")
+    if offset is None:
+        return []
+    drift = number(clock.get("host_drift_ppm"), 1, "ppm")
+    return [Text(f"The logger's clock was {number(offset, 3, 's')} ahead of UTC and ran off by {drift}.")]
+
+
+def _warnings(warnings: Sequence[Entry]) -> tuple[Block, ...]:
     if not warnings:
         return (Text("Nothing had to be repaired or left out."),)
     rows = tuple(
@@ -71,6 +117,6 @@ def _warnings(warnings: list[Mapping[str, Any]]) -> tuple[Block, ...]:
     return (table,) if left <= 0 else (table, Text(f"{left} more warnings are in metrics.json."))
 
 
-def _place(warning: Mapping[str, Any]) -> str:
+def _place(warning: Entry) -> str:
     place = str(warning.get("file") or warning.get("sensor") or "the log")
     return place if warning.get("row") is None else f"{place}, row {warning['row']}"

@@ -123,7 +123,7 @@ HEADLINE = Equation(
         op("−"),
         sub(ident("Q"), num("2.5")),
     ),
-    r"D = 100\,\%\cdot\frac{\sqrt{M}}{R_{95}}\,,\qquad M = \overline{e^2}\,,"
+    r"D = 100\,\%\cdot\dfrac{\sqrt{M}}{R_{95}}\,,\qquad M = \overline{e^2}\,,"
     r"\qquad R_{95} = Q_{97.5} - Q_{2.5}",
     "D is one hundred percent times the square root of M over R95, M the mean of e squared, R95 the "
     "97.5 percent quantile less the 2.5 percent quantile",
@@ -162,7 +162,7 @@ UPPER = Equation(
             ),
         ),
     ),
-    r"D_\mathrm{hi}^2 = \frac{M_\mathrm{hi} - \min(g_\mathrm{lo}\,u^2,\; M_\mathrm{hi}/2)}"
+    r"D_\mathrm{hi}^2 = \dfrac{M_\mathrm{hi} - \min(g_\mathrm{lo}\,u^2,\; M_\mathrm{hi}/2)}"
     r"{\max(R_{95}^2 - 3.92^2\,g_\mathrm{hi}\,u^2,\; R_{95}^2/4)}",
     "D high squared is M high less the lesser of g low u squared and half of M high, over the greater "
     "of R95 squared less 3.92 squared g high u squared and a quarter of R95 squared",
@@ -190,7 +190,7 @@ LOWER = Equation(
             R95_SQUARED,
         ),
     ),
-    r"D_\mathrm{lo}^2 = \frac{\max(M_\mathrm{lo} - g_\mathrm{hi}(u^2 + u_\mathrm{in}^2),\; 0)}{R_{95}^2}",
+    r"D_\mathrm{lo}^2 = \dfrac{\max(M_\mathrm{lo} - g_\mathrm{hi}(u^2 + u_\mathrm{in}^2),\; 0)}{R_{95}^2}",
     "D low squared is the greater of zero and M low less g high times the sum of u squared and u input "
     "squared, over R95 squared",
 )

@@ -210,7 +210,8 @@ def metrics(run: str = "sample-1", seeder: bool = True) -> dict[str, Any]:
     found: dict[str, Any] = {
         "schema": 1, "run": run,
         "verdict": {"value": "inconclusive", "scope": "pass", "reasons": ["one direction only"],
-                    "codes": ["directions"], "threshold_percent": 15.0, "alpha": 0.05, "passes": 1, "passes_needed": None},
+                    "codes": ["directions"], "threshold_percent": 15.0, "alpha": 0.05, "passes": 1,
+                    "passes_needed": None},
         "discrepancy": {
             "trajectory": {"body1": 7.07, "body2": 7.1, "combined": 7.08, "interval": [4.0, 9.5]},
             "yaw": {"body1": 6.9, "body2": None, "combined": None, "interval": None},
@@ -218,7 +219,7 @@ def metrics(run: str = "sample-1", seeder: bool = True) -> dict[str, Any]:
         "warnings": [
             {"sensor": "imd1", "file": "imd1.csv", "row": 12, "what": "time falls back", "effect": "dropped"}
         ],
-        "health": {"imd1": {"rate": 99.98, "gaps": 3}, "gps": {"rate": 10.0, "gaps": 0}},
+        "health": {"imd1": {"samples": 6000, "rate_hz": 99.98, "gaps": 3, "longest_gap_s": 0.04}},
     }  # fmt: skip
     found["comparison"] = {
         "mode": "replay", "horizon": 25.0, "grid_step": GRID, "draws": 200, "excluded": [], "passed_over": [],
@@ -260,7 +261,11 @@ def metrics(run: str = "sample-1", seeder: bool = True) -> dict[str, Any]:
                          "zero_sd_deg": 0.3, "scale_sd": 0.01}  # fmt: skip
     found["spectra"] = {}
     found["consistency"] = {"consistent": True, "channels": [channel]}
-    found["provenance"] = {"version": "0.1.0", "log_sha256": "ab" * 32, "options": {"engine": "compiled"}}
+    found["provenance"] = {
+        "versions": {"smts-validate": "0.1.0"},
+        "log_sha256": "ab" * 32,
+        "options": {"engine": "compiled"},
+    }
     return found
 
 
