@@ -95,6 +95,7 @@ def run_trailed(
         np.zeros(FULL_SIZE),
         np.zeros((4, FULL_SIZE)),
     )
+    u[at.FORCE_FACTOR] = 1.0
     impose(start, table, tables, s, u, row)
     s[YAW2], s[W2] = initial[0], initial[1]
     for step in range((out.shape[0] - 1) * every + 1):

@@ -189,6 +189,7 @@ def run(
     s[: at.STATE_SIZE] = initial
     start, row, period = change[at.START], int(change[at.FORCE_ROW]), max(int(driver[at.PERIOD_STEPS]), 1)
     memory[TICK] = start
+    u[at.FORCE_FACTOR] = change[at.FORCE_SCALE]
     guess = h
     load_inputs(start, steering(start, memory, driver, change, tables, h), p, change, tables, u)
     start_slips(s, p, u)

@@ -250,14 +250,15 @@ def interpolate(table: Floats, place: float, column: int) -> float:
 def add_distance_force(distance: float, p: Floats, tables: Tables, row: int, u: Floats) -> None:
     """Disturbance of this instant into u[FORCE_NOW..]: over time plus over distance; the seeder meets the
     latter when its own CoM gets there."""
+    factor = u[at.FORCE_FACTOR]
     for i in range(at.FORCE_SIZE):
-        u[at.FORCE_NOW + i] = u[FORCE + i]
+        u[at.FORCE_NOW + i] = factor * u[FORCE + i]
     if tables.distance_force.shape[1] == 0:
         return
     table, here = tables.distance_force[row], distance / tables.spacing
     behind = (distance - p[HITCH] - p[L5]) / tables.spacing
     for i in range(at.FORCE_SIZE):
-        u[at.FORCE_NOW + i] += interpolate(table, here if i < 3 else behind, i)
+        u[at.FORCE_NOW + i] += factor * interpolate(table, here if i < 3 else behind, i)
 
 
 @njit(cache=True, error_model="numpy")

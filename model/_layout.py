@@ -38,15 +38,16 @@ TRACTOR_WHEELS = 4
 SIN_LEFT, COS_LEFT, SIN_RIGHT, COS_RIGHT, SPEED, ACCELERATION, FORCE = range(7)
 FORCE_SIZE = 6  # main vector (x, y of the body's frame) and moment at O1, then at O2
 FORCE_NOW = FORCE + FORCE_SIZE  # with what is given over distance
-INPUT_SIZE = FORCE_NOW + FORCE_SIZE
+FORCE_FACTOR = FORCE_NOW + FORCE_SIZE  # scale of all disturbance
+INPUT_SIZE = FORCE_FACTOR + 1
 
 # Driver: one row a run; all zero and ACTIVE = 0 without one.
 ACTIVE, PREVIEW, DELAY, LAG, MAX_RATE, MAX_ANGLE, GAIN, PERIOD_STEPS = range(8)
 DRIVER_SIZE = 8
 
 # What one run of a batch changes.
-(START, STEER_OFFSET, STEER_SCALE, SPEED_SCALE, SPEED_OFFSET, STEER_ROW, FORCE_ROW) = range(7)
-CHANGE_SIZE = 7
+START, STEER_OFFSET, STEER_SCALE, SPEED_SCALE, SPEED_OFFSET, STEER_ROW, FORCE_ROW, FORCE_SCALE = range(8)
+CHANGE_SIZE = 8
 
 # A path to follow: position, heading and curvature at equal distances.
 PATH_X, PATH_Y, PATH_YAW, PATH_CURVATURE = range(4)

@@ -35,7 +35,7 @@ def straight_rates(
     u[at.SIN_LEFT], u[at.COS_LEFT], u[at.SIN_RIGHT], u[at.COS_RIGHT] = (
         math.sin(left), math.cos(left), math.sin(right), math.cos(right),
     )  # fmt: skip
-    u[at.SPEED] = speed
+    u[at.SPEED], u[at.FORCE_FACTOR] = speed, 1.0
     u[FORCE + 1], u[FORCE + 2], u[FORCE + 4], u[FORCE + 5] = (
         place[first + 1], place[first + 2], place[first + 3], place[first + 4],
     )  # fmt: skip

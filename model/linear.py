@@ -3,6 +3,7 @@ response."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,24 +87,29 @@ def linearise(machine: Machine, speed: float, settings: SimulationSettings = DEF
     """
     if not (speed > 0.0 and np.isfinite(speed)):
         raise MachineError(f"speed is {speed!r}; it must be a finite number above 0")
-    p = pack_machine(machine, settings)
+    return _model(machine, float(speed), *_straight(machine, settings)(float(speed)))
+
+
+def _straight(machine: Machine, settings: SimulationSettings) -> Callable[[float], tuple[Floats, Floats]]:
+    """Packed parameters and the Jacobian about straight running, as a function of speed."""
+    p, options = pack_machine(machine, settings), pack_options(settings)
     empty = pack_controls(Controls(t=np.array([0.0, 1.0]), speed=np.zeros(2)), 1.0)
-    jacobian = straight_jacobian(float(speed), p, empty, pack_options(settings))
-    return _model(machine, float(speed), p, jacobian)
+    return lambda speed: (p, straight_jacobian(speed, p, empty, options))
+
+
+def _state_rows(machine: Machine, p: Floats) -> list[int]:
+    """Rows of the Jacobian that are states of this machine: its bodies' and its relaxed wheels'."""
+    wheels = np.arange(at.TRACTOR_WHEELS + int(p[at.SEEDER_WHEELS]))
+    relaxed = wheels[p[at.WHEELS + wheels * at.WHEEL_SIZE + at.RELAXATION] > 0.0]
+    return ([0, 1] if machine.seeder is None else [0, 1, 2, 3]) + [STATES + int(i) for i in relaxed]
 
 
 def _model(machine: Machine, speed: float, p: Floats, jacobian: Floats) -> LinearModel:
-    wheels = np.arange(at.TRACTOR_WHEELS + int(p[at.SEEDER_WHEELS]))
-    relaxed = wheels[p[at.WHEELS + wheels * at.WHEEL_SIZE + at.RELAXATION] > 0.0]
-    alone = machine.seeder is None
-    core = [0, 1] if alone else [0, 1, 2, 3]
-    names = [("lateral_velocity1", "yaw_rate1", "yaw_rate2", "hitch_angle")[i] for i in core]
-    rows = core + [STATES + int(i) for i in relaxed]
-    first = STATES + at.MAX_WHEELS
+    rows, alone, first = _state_rows(machine, p), machine.seeder is None, STATES + at.MAX_WHEELS
+    core = ("lateral_velocity1", "yaw_rate1", "yaw_rate2", "hitch_angle")
     columns = [first + i for i in ((0, 1, 2) if alone else range(5))]
     unit = np.eye(jacobian.shape[1])
-    accelerations = jacobian[-2:]
-    full = np.stack([unit[1], unit[2], accelerations[0], accelerations[1], unit[3]])
+    full = np.stack([unit[1], unit[2], jacobian[-2], jacobian[-1], unit[3]])
     outputs = [0, 2] if alone else [0, 1, 2, 3, 4]
     return LinearModel(
         speed=speed,
@@ -111,15 +117,27 @@ def _model(machine: Machine, speed: float, p: Floats, jacobian: Floats) -> Linea
         B=jacobian[np.ix_(rows, columns)],
         C=full[np.ix_(outputs, rows)],
         D=full[np.ix_(outputs, columns)],
-        states=(*names, *(f"slip{i}" for i in relaxed)),
+        states=tuple(core[i] if i < STATES else f"slip{i - STATES}" for i in rows),
         inputs=INPUT_NAMES[: len(columns)],
         outputs=tuple(OUTPUT_NAMES[i] for i in outputs),
     )
 
 
+def _growths(machine: Machine, settings: SimulationSettings) -> Callable[[float], float]:
+    """Largest real part of the eigenvalues, 1/s, as a function of speed."""
+    straight = _straight(machine, settings)
+
+    def growth_at(speed: float) -> float:
+        p, jacobian = straight(speed)
+        rows = _state_rows(machine, p)
+        return float(np.linalg.eigvals(jacobian[np.ix_(rows, rows)]).real.max())
+
+    return growth_at
+
+
 def growth(machine: Machine, speed: float, settings: SimulationSettings = DEFAULT) -> float:
     """Largest real part of the eigenvalues, 1/s: positive where straight running is unstable."""
-    return float(np.linalg.eigvals(linearise(machine, speed, settings).A).real.max())
+    return _growths(machine, settings)(speed)
 
 
 def critical_speed(
@@ -127,15 +145,16 @@ def critical_speed(
 ) -> float | None:
     """Lowest speed, m/s, above which straight running is unstable (fixed steering); None up to 60 m/s.
 
-    Found by a scan in steps of 4 % from `slowest` and Brent's method; `slowest` itself if unstable there.
+    Found by a scan in steps of a fifth from `slowest` and Brent's method; `slowest` itself if unstable there.
     """
-    if growth(machine, slowest, settings) > 0.0:
-        return slowest
+    growth_at = _growths(machine, settings)
     low = slowest
+    if growth_at(low) > 0.0:
+        return low
     while low < FASTEST:
-        high = 1.04 * low
-        if growth(machine, high, settings) > 0.0:
-            return float(brentq(lambda v: growth(machine, v, settings), low, high, xtol=1e-6))
+        high = 1.2 * low
+        if growth_at(high) > 0.0:
+            return float(brentq(growth_at, low, high, xtol=1e-6))
         low = high
     return None
 

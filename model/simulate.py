@@ -175,6 +175,7 @@ def simulate_batch(
     speed_offset: ArrayLike = 0.0,
     steer_row: ArrayLike = 0,
     force_row: ArrayLike = 0,
+    force_scale: ArrayLike = 1.0,
     drivers: Sequence[Driver] | None = None,
     settings: SimulationSettings = DEFAULT,
 ) -> BatchRun:
@@ -187,6 +188,7 @@ def simulate_batch(
     start : s, in the time of `controls`; steer_offset rad; steer = offset + scale·controls.steer[steer_row]
     speed_scale, speed_offset : speed asked = scale·controls.speed + offset (m/s)
     steer_row, force_row : which row of a two-dimensional steer and of the disturbances a run uses
+    force_scale : factor of all disturbance
     drivers : one a run, in place of controls.driver
     All but `samples` and `spacing` broadcast over runs.
     """
@@ -207,8 +209,9 @@ def simulate_batch(
     if len({m.seeder is None for m in many}) > 1:
         raise SimulationError("machines must all have a seeder or none")
     change = _changes(
-        len(state), start, steer_offset, steer_scale, speed_scale, speed_offset, steer_row, force_row
-    )
+        len(state), start, steer_offset, steer_scale, speed_scale, speed_offset, steer_row, force_row,
+        force_scale,
+    )  # fmt: skip
     tables = pack_controls(controls, step, trailed=many[0].seeder is not None)
     _require_rows(change, tables)
     out = np.full((len(state), samples, at.OUTPUT_SIZE), np.nan)

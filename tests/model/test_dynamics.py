@@ -49,7 +49,7 @@ def compiled_right_hand_side(machine, state, inputs, settings, slips=None):
     tables = pack_controls(controls, 1.0)
     p, u, rate = pack_machine(machine, settings), np.zeros(at.INPUT_SIZE), np.zeros(at.FULL_SIZE)
     change = np.zeros(at.CHANGE_SIZE)
-    change[at.SPEED_SCALE] = 1.0
+    change[at.SPEED_SCALE] = u[at.FORCE_FACTOR] = 1.0
     load_inputs(0.0, inputs.steer, p, change, tables, u)
     full = np.zeros(at.FULL_SIZE)
     full[:8] = state
