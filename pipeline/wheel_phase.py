@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..sensors.manifest import GRAVITY
-from .wheel_series import Constants, Floats, Walk, signal, slow_noise, smooth, solve, whiten
+from .wheel_series import Constants, Floats, Walk, signal, slow_noise, smooth, solve, whitened_products
 from .wheel_unit import (
     CLUSTER,
     Bools,
@@ -36,7 +36,7 @@ from .wheel_unit import (
 )
 
 BIAS, SCALE, TURN, FORCE_X, FORCE_Z, PLACE_X, PLACE_Z, GRAVITY_SCALE = range(8)
-COUNT = 8
+COUNT, Y = 8, 0  # columns hold the measurement first, then the regressors in this order
 BIAS_WANDER = 1.0e-4**2  # rad²/s: what the axle gyro's bias instability adds to the phase's walk
 WANDER_LAG = 30.0  # s, over which gravity takes the phase's walk off again
 COARSE = 0.5  # s to either side, of the first look at the phase error
@@ -67,7 +67,7 @@ class _Case:
     """What the phase's error is sought from; accelerations in units of g.
 
     turned : integrated axle gyro; heading : integral of the yaw rate; lever : ω² + iα; along : α·radius;
-    step : the phase's walk; rest_row : what standing still says about the gyro's bias
+    step : the phase's walk; at_rest : what standing still says about the gyro's bias
     """
 
     t: Floats
@@ -78,7 +78,7 @@ class _Case:
     along: Floats
     step: Floats
     rest: Bools
-    rest_row: Floats
+    at_rest: Floats
 
 
 def estimate_phase(unit: Unit, doubt: Doubt) -> Phase:
@@ -102,13 +102,13 @@ def estimate_phase(unit: Unit, doubt: Doubt) -> Phase:
 def _smooth_gyro(unit: Unit, gyro: Floats, rest: Bools) -> tuple[Floats, Floats, Floats, float]:
     """Smoothed rate, its variance, each sample's noise variance, and the rate's random walk [units²/s]."""
     step, noise, walk = walk_of(unit.t, gyro, rest, unit.axle_ok)
-    seen = smooth(gyro, np.empty((gyro.size, 0)), Walk(step, np.where(unit.axle_ok, noise, np.inf)))
+    seen = smooth(gyro[:, None], Walk(step, np.where(unit.axle_ok, noise, np.inf)))
     return seen.columns[:, 0], seen.variance, noise, walk
 
 
 def _case(unit: Unit, gyro: Floats, spin: Floats, noise: Floats, walk: float, rest: Bools) -> _Case:
     acceleration = np.gradient(spin, unit.t)
-    lever = spin**2 + 1j * acceleration
+    lever: Complexes = spin**2 + 1j * acceleration
     force = (unit.plane + lever * unit.place) / GRAVITY
     turned = integrate(unit.t, gyro)
     yaw_rate = _rough_yaw_rate(unit, force, turned, rest)
@@ -123,7 +123,7 @@ def _case(unit: Unit, gyro: Floats, spin: Floats, noise: Floats, walk: float, re
         step=_phase_walk(unit, noise, walk)
         + np.diff(unit.t) * 2.0 * TILT_REACH * (TILT_SD * yaw_rate[1:]) ** 2,
         rest=rest,
-        rest_row=_rest_row(rest, noise),
+        at_rest=_rest_products(rest, noise),
     )
 
 
@@ -133,7 +133,7 @@ def _rough_yaw_rate(unit: Unit, force: Complexes, turned: Floats, rest: Bools) -
     """
     phase = turned + _coarse_error(unit.t, force, turned)
     back = (unit.across - by_state(rest, unit.across)) * np.exp(1j * phase)
-    return np.asarray(running_mean(np.where(unit.across_ok, back.real, 0.0), per_second(unit.t) // 4))
+    return running_mean(np.where(unit.across_ok, back.real, 0.0), per_second(unit.t) // 4)
 
 
 def _tilt(unit: Unit, spin: Floats, yaw_rate: Floats) -> Floats:
@@ -141,14 +141,14 @@ def _tilt(unit: Unit, spin: Floats, yaw_rate: Floats) -> Floats:
     the left.
     """
     sine = (unit.side - unit.radius * spin * yaw_rate) / GRAVITY
-    return np.asarray(running_mean(np.clip(sine, -0.5, 0.5), round(TILT_REACH * per_second(unit.t))))
+    return running_mean(np.clip(sine, -0.5, 0.5), round(TILT_REACH * per_second(unit.t)))
 
 
 def _slow(unit: Unit, acceleration: Floats) -> Floats:
     """The vehicle's share of the spin's acceleration: pitching on rough ground is faster than half a
     second.
     """
-    return np.asarray(running_mean(acceleration, per_second(unit.t) // 4))
+    return running_mean(acceleration, per_second(unit.t) // 4)
 
 
 def _phase_walk(unit: Unit, noise: Floats, spin_walk: float) -> Floats:
@@ -168,21 +168,20 @@ def _phase_error(case: _Case, doubt: Doubt) -> tuple[Floats, Floats, Constants]:
     Linear in everything but the error itself, which the first look gives to a few degrees: iterated.
     """
     error = _coarse_error(case.t, case.force, case.turned)
-    drift = np.zeros((case.t.size, COUNT))
-    drift[:, BIAS], drift[:, SCALE], drift[:, TURN] = -(case.t - case.t.mean()), -case.turned, -case.heading
+    drift = np.zeros((case.t.size, 1 + COUNT))
+    drift[:, 1 + BIAS], drift[:, 1 + SCALE] = -(case.t - case.t.mean()), -case.turned
+    drift[:, 1 + TURN] = -case.heading
     residual = case.force * np.exp(-1j * (case.turned + error)) - 1.0
     size = CLUSTER * per_second(case.t)
     for _ in range(ITERATIONS):
-        back = np.exp(-1j * (case.turned + error))
-        seen = case.force * back + 1j * case.along
-        columns = _force_columns(back, case.lever)
+        radial, tangential = _columns(case, error)
         noise = _force_noise(residual, case)
-        tangential = smooth(seen.imag + error, columns.imag + drift, Walk(case.step, noise.imag))
-        radial = whiten(seen.real - 1.0, columns.real, noise.real)
-        constants = solve([tangential.whitened, radial, case.rest_row], _prior(doubt), [size, size, 0])
-        better, variance = signal(tangential, constants, drift)
-        residual = seen - 1.0 - columns @ constants.value - 1j * (better - error)
-        error = better
+        walked = smooth(tangential + drift, Walk(case.step, noise.imag), size)
+        still = whitened_products(radial, noise.real, size)
+        constants = solve([walked.products, still, case.at_rest], _prior(doubt))
+        error, variance = signal(walked, constants, drift)
+        left = np.append(1.0, -constants.value)
+        residual = radial @ left + 1j * (tangential @ left - error)
     return error, variance, constants
 
 
@@ -192,13 +191,22 @@ def _prior(doubt: Doubt) -> Floats:
     return np.array([doubt.gyro_bias, doubt.gyro_scale, leaning, *force, *place, doubt.accel_scale])
 
 
-def _force_columns(back: Complexes, lever: Complexes) -> Complexes:
-    """Complex regressors (N, COUNT) of the demodulated force: real part radial, imaginary part tangential."""
-    columns = np.zeros((back.size, COUNT), dtype=np.complex128)
-    columns[:, FORCE_X], columns[:, FORCE_Z] = -1j * back / GRAVITY, back / GRAVITY
-    columns[:, PLACE_X], columns[:, PLACE_Z] = 1j * lever * back, -lever * back
-    columns[:, GRAVITY_SCALE] = 1.0
-    return columns
+def _columns(case: _Case, error: Floats) -> tuple[Floats, Floats]:
+    """Measurement and regressors of the force turned back: radial and tangential, (N, 1+COUNT) each.
+
+    Tangential is linearised about `error`: sin(θ − θ̂) + error.
+    """
+    back = np.exp(-1j * (case.turned + error))
+    seen = case.force * back
+    lever = case.lever * back
+    radial, tangential = np.zeros((back.size, 1 + COUNT)), np.zeros((back.size, 1 + COUNT))
+    radial[:, Y], tangential[:, Y] = seen.real - 1.0, seen.imag + case.along + error
+    radial[:, 1 + FORCE_X], tangential[:, 1 + FORCE_X] = back.imag / GRAVITY, -back.real / GRAVITY
+    radial[:, 1 + FORCE_Z], tangential[:, 1 + FORCE_Z] = back.real / GRAVITY, back.imag / GRAVITY
+    radial[:, 1 + PLACE_X], tangential[:, 1 + PLACE_X] = -lever.imag, lever.real
+    radial[:, 1 + PLACE_Z], tangential[:, 1 + PLACE_Z] = -lever.real, -lever.imag
+    radial[:, 1 + GRAVITY_SCALE] = 1.0
+    return radial, tangential
 
 
 def _force_noise(residual: Complexes, case: _Case) -> Complexes:
@@ -221,9 +229,9 @@ def _coarse_error(t: Floats, force: Complexes, turned: Floats) -> Floats:
     return np.unwrap(np.angle(back))
 
 
-def _rest_row(rest: Bools, noise: Floats) -> Floats:
+def _rest_products(rest: Bools, noise: Floats) -> Floats:
     """Standing still says that the gyro's bias, its median at rest taken off, is zero within its noise."""
-    row = np.zeros((1, 1 + COUNT))
+    products = np.zeros((1, 1 + COUNT, 1 + COUNT))
     if rest.any():
-        row[0, 1 + BIAS] = np.sqrt(np.count_nonzero(rest) / (1.57 * np.median(noise[rest])))
-    return row
+        products[0, 1 + BIAS, 1 + BIAS] = np.count_nonzero(rest) / (1.57 * np.median(noise[rest]))
+    return products

@@ -20,19 +20,21 @@ Floats = NDArray[np.float64]
 
 DIFFUSE = 1.0e4  # initial variance of a walk whose start is unknown, in units of the channel squared
 LAG = 0.1  # s, over which a channel's walk is judged
+FIT_SAMPLES, RUN = 40_000, 500  # samples that a long channel's noise is judged by, in runs
 MAD_TO_SD = 1.4826
 
 
 @njit(cache=True)
 def _forward(
-    columns: Floats, step: Floats, noise: Floats, initial: float
+    columns: Floats, step: Floats, noise: Floats, initial: float, block: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Filter all columns with one gain; returns means, variances, predicted variances, whitened
-    innovations.
+    """Filter all columns with one gain: means (N, m), variances, predicted variances, and the products of the
+    whitened innovations summed over blocks (B, m, m), lower triangles.
     """
     n, m = columns.shape
-    mean, white = np.empty((n, m)), np.empty((n, m))
+    mean, white = np.empty((n, m)), np.empty(m)
     variance, predicted = np.empty(n), np.empty(n)
+    products = np.zeros(((n + block - 1) // block, m, m))
     prior = initial
     for k in range(n):
         if k > 0:
@@ -46,8 +48,10 @@ def _forward(
             before = mean[k - 1, j] if k > 0 else 0.0
             innovation = columns[k, j] - before
             mean[k, j] = before + gain * innovation
-            white[k, j] = scale * innovation
-    return mean, variance, predicted, white
+            white[j] = scale * innovation
+            for i in range(j + 1):
+                products[k // block, j, i] += white[j] * white[i]
+    return mean, variance, predicted, products
 
 
 @njit(cache=True)
@@ -76,13 +80,13 @@ class Walk:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Filtered both ways: columns (N, 1+m) smoothed, variance (N,) of the signal given β, whitened (N,
-    1+m).
+    """Filtered both ways: columns (N, 1+m) smoothed, variance (N,) of the signal given β, and `products`
+    (B, 1+m, 1+m) of the whitened columns, summed over blocks of samples.
     """
 
     columns: Floats
     variance: Floats
-    whitened: Floats
+    products: Floats
 
 
 @dataclass(frozen=True)
@@ -97,51 +101,57 @@ class Constants:
         return np.sqrt(np.diag(self.covariance))
 
 
-def smooth(y: Floats, regressors: Floats, walk: Walk) -> Smoothed:
-    """Filter and smooth y and its regressors (N, m) with one set of gains."""
-    columns = np.column_stack([y, regressors])
-    mean, variance, predicted, white = _forward(columns, walk.step, walk.noise, walk.initial)
-    _backward(mean, variance, predicted)
-    return Smoothed(mean, variance, white)
+def smooth(columns: Floats, walk: Walk, block: int = 0) -> Smoothed:
+    """Filter and smooth y and its regressors, columns (N, 1+m), with one set of gains.
 
-
-def whiten(y: Floats, regressors: Floats, variance: Floats) -> Floats:
-    """Rows (y, X) of plain white measurements, each divided by its standard deviation."""
-    return np.column_stack([y, regressors]) / np.sqrt(variance)[:, None]
-
-
-def solve(rows: Sequence[Floats], prior_sd: Floats, blocks: Sequence[int]) -> Constants:
-    """Constants common to several sets of whitened rows (y, X) (k, 1+m).
-
-    prior_sd : (m,) of β about zero
-    blocks : for each set, the samples after which its residuals are taken to be independent (0: all are).
-        A set whose residuals agree with the regressors over whole blocks more than white noise would (a
-        signal with a resonance at the wheel's own frequency) is weighted down by what it shows.
+    block : samples after which the residuals are taken to be independent (0: one block), see `solve`
     """
-    first = _least_squares(rows, prior_sd)
-    weighed = [
-        part / np.sqrt(_clustering(part, first.value, size)) for part, size in zip(rows, blocks, strict=True)
-    ]
-    return _least_squares(weighed, prior_sd)
+    columns = np.ascontiguousarray(columns)
+    size = block or columns.shape[0]
+    mean, variance, predicted, half = _forward(columns, walk.step, walk.noise, walk.initial, size)
+    _backward(mean, variance, predicted)
+    return Smoothed(mean, variance, half + np.transpose(np.tril(half, -1), (0, 2, 1)))
 
 
-def _least_squares(rows: Sequence[Floats], prior_sd: Floats) -> Constants:
-    information, vector = np.diag(prior_sd**-2.0), np.zeros(prior_sd.size)
-    for part in rows:
-        y, x = part[:, 0], part[:, 1:]
-        information, vector = information + x.T @ x, vector + x.T @ y
-    covariance = np.linalg.inv(information)
-    return Constants(covariance @ vector, covariance)
+def whitened_products(columns: Floats, variance: Floats, block: int = 0) -> Floats:
+    """Products of plain white measurements (N, 1+m) over their variance, summed over blocks: (B, 1+m,
+    1+m).
+    """
+    rows = columns / np.sqrt(variance)[:, None]
+    if not block or variance.size < block:
+        return np.asarray((rows.T @ rows)[None])
+    count = variance.size // block
+    parts = rows[: count * block].reshape(count, block, -1)
+    rest = rows[count * block :]
+    return np.concatenate([np.transpose(parts, (0, 2, 1)) @ parts, (rest.T @ rest)[None]])
 
 
-def _clustering(rows: Floats, value: Floats, size: int) -> float:
+def solve(channels: Sequence[Floats], prior_sd: Floats) -> Constants:
+    """Constants common to several channels, each given by its blocks' products (B, 1+m, 1+m).
+
+    prior_sd : (m,) of β about zero. A channel whose residuals agree with the regressors over whole blocks
+    more than white noise would (a signal with a resonance at the wheel's own frequency) is weighted down by
+    what it shows.
+    """
+    sums = [products.sum(axis=0) for products in channels]
+    first = _least_squares(sums, prior_sd)
+    weights = [1.0 / _clustering(products, first.value) for products in channels]
+    return _least_squares([total * weight for total, weight in zip(sums, weights, strict=True)], prior_sd)
+
+
+def _least_squares(sums: Sequence[Floats], prior_sd: Floats) -> Constants:
+    total = np.sum(sums, axis=0)
+    covariance = np.linalg.inv(np.diag(prior_sd**-2.0) + total[1:, 1:])
+    return Constants(covariance @ total[1:, 0], covariance)
+
+
+def _clustering(products: Floats, value: Floats) -> float:
     """Variance of Σ x·e over blocks against that of white e: Σ_b (Σ x·e)² / Σ x², at least 1."""
-    count = rows.shape[0] // size if size else 0
-    if count < 4:
+    if products.shape[0] < 4:
         return 1.0
-    x = rows[: count * size, 1:]
-    score = (x * (rows[: count * size, 0] - x @ value)[:, None]).reshape(count, size, -1).sum(axis=1)
-    total, white = (score**2).sum(axis=0), (x**2).sum(axis=0)
+    score = products[:, 1:, 0] - products[:, 1:, 1:] @ value
+    total = np.sum(score**2, axis=0)
+    white = np.diagonal(products[:, 1:, 1:], axis1=1, axis2=2).sum(axis=0)
     known = white > 0.0
     return max(1.0, float(np.mean(total[known] / white[known]))) if known.any() else 1.0
 
@@ -149,11 +159,29 @@ def _clustering(rows: Floats, value: Floats, size: int) -> float:
 def signal(channel: Smoothed, constants: Constants, direct: Floats | None = None) -> tuple[Floats, Floats]:
     """The walk's value and variance, constants taken off: s = S(y) − S(X)·β, with the doubt of β.
 
-    direct : (N, m) regressors that belong to the signal itself (a drift is part of the phase): s + direct·β
+    direct : (N, 1+m) columns of regressors that belong to the signal itself (a drift is part of the phase),
+    the first unused: s + direct·β
     """
-    x = channel.columns[:, 1:] if direct is None else channel.columns[:, 1:] - direct
-    value = channel.columns[:, 0] - x @ constants.value
-    return value, channel.variance + np.sum((x @ constants.covariance) * x, axis=1)
+    columns = channel.columns if direct is None else channel.columns - direct
+    return columns @ np.append(1.0, -constants.value), channel.variance + _doubt(
+        columns, constants.covariance
+    )
+
+
+@njit(cache=True)
+def _doubt(columns: Floats, covariance: Floats) -> Floats:
+    """xᵀ·C·x of every row, the first column left out: (N,)."""
+    n, m = columns.shape
+    doubt = np.empty(n)
+    for k in range(n):
+        total = 0.0
+        for j in range(1, m):
+            row = 0.5 * covariance[j - 1, j - 1] * columns[k, j]
+            for i in range(1, j):
+                row += covariance[j - 1, i - 1] * columns[k, i]
+            total += 2.0 * row * columns[k, j]
+        doubt[k] = total
+    return doubt
 
 
 def fit_walk(t: Floats, y: Floats) -> tuple[float, float]:
@@ -163,14 +191,27 @@ def fit_walk(t: Floats, y: Floats) -> tuple[float, float]:
     (their variance is 20 times the noise's); the walk from changes over `LAG` seconds less that noise. Both
     by median absolute deviations: a start, a stop or a few bad samples do not count.
     """
-    dt = float(np.median(np.diff(t))) if t.size > 1 else 0.0
-    lag = max(round(LAG / dt), 1) if dt > 0.0 else 1
+    if t.size < 2:
+        return 0.0, 0.0
+    dt = float(np.median(np.diff(t)))
+    t, y = _thinned(t, y)
+    lag = max(round(LAG / dt), 1)
     if y.size < 4 * lag:
         return 0.0, 0.0
-    even = np.diff(t) < 1.5 * dt
+    even = np.abs(np.diff(t) - dt) < 0.5 * dt
     noise = robust_sd(np.diff(y, 3)[even[2:] & even[1:-1] & even[:-2]]) ** 2 / 20.0
-    change = robust_sd((y[lag:] - y[:-lag])[t[lag:] - t[:-lag] < 1.5 * lag * dt]) ** 2
+    apart = t[lag:] - t[:-lag]
+    change = robust_sd((y[lag:] - y[:-lag])[np.abs(apart - lag * dt) < 0.5 * lag * dt]) ** 2
     return noise, max(change - 2.0 * noise, 0.1 * change) / (lag * dt)
+
+
+def _thinned(t: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Evenly spread runs of `RUN` samples of a long channel: enough to know its noise to 1 %."""
+    every = y.size // FIT_SAMPLES
+    if every < 2:
+        return t, y
+    keep = (np.arange(y.size) // RUN) % every == 0
+    return t[keep], y[keep]
 
 
 def robust_sd(values: Floats) -> float:
@@ -188,6 +229,7 @@ def block_means(values: Floats, size: int) -> Floats:
 
 def slow_noise(residual: Floats, size: int) -> float:
     """Variance that white samples would need for the scatter that block means of a coloured residual show."""
+    fast = robust_sd(residual[:: max(residual.size // FIT_SAMPLES, 1)]) ** 2
     if residual.size < 4 * size:
-        return robust_sd(residual) ** 2
-    return max(size * robust_sd(block_means(residual, size)) ** 2, 0.1 * robust_sd(residual) ** 2)
+        return fast
+    return max(size * robust_sd(block_means(residual, size)) ** 2, 0.1 * fast)

@@ -8,13 +8,14 @@ says nothing of the speed.
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from .wheel_phase import BIAS, BIAS_WANDER, SCALE, WANDER_LAG, Phase
-from .wheel_series import Floats, Walk, smooth
-from .wheel_unit import Bools, Unit, integrate, per_second, running_mean, walk_of
+from .wheel_series import Floats, Walk, block_means, smooth
+from .wheel_unit import Bools, Unit, integrate, per_second, walk_of
 from .wheel_yaw import TILT_X, TILT_Z, YawRate
 
-STRAIGHT = 60.0  # s to either side: over so long a front wheel's angle is taken to have no mean
+STRAIGHT = 121  # s: over so long the median of a front wheel's angle is taken to be zero
 
 
 def hub_spin(unit: Unit, phase: Phase, yaw: YawRate, steered: bool) -> tuple[Floats, Floats]:
@@ -24,7 +25,7 @@ def hub_spin(unit: Unit, phase: Phase, yaw: YawRate, steered: bool) -> tuple[Flo
     rate = phase.gyro + np.where(unit.across_ok, across - np.median(across), 0.0)
     rate = rate - _carried(unit, rate, _rough_angle(unit, yaw) if steered else 0.0, ~phase.rest)
     step, noise, _ = walk_of(unit.t, rate, phase.rest, unit.axle_ok)
-    seen = smooth(rate, np.empty((rate.size, 0)), Walk(step, np.where(unit.axle_ok, noise, np.inf)))
+    seen = smooth(rate[:, None], Walk(step, np.where(unit.axle_ok, noise, np.inf)))
     spin = seen.columns[:, 0]
     shape = np.column_stack([np.ones_like(spin), spin])
     pair = np.ix_([BIAS, SCALE], [BIAS, SCALE])
@@ -33,11 +34,17 @@ def hub_spin(unit: Unit, phase: Phase, yaw: YawRate, steered: bool) -> tuple[Flo
 
 
 def _rough_angle(unit: Unit, yaw: YawRate) -> Floats:
-    """Steering angle of the wheel to a few degrees: its turning less the body's, without its slow mean."""
+    """Steering angle of the wheel to a few degrees: its turning less the body's, without its trend and slow
+    median.
+    """
     if unit.carrier is None:
         return np.zeros_like(unit.t)
+    size = per_second(unit.t)
     apart = yaw.turned - integrate(unit.t, unit.carrier[:, 2])
-    return np.asarray(apart - running_mean(apart, round(STRAIGHT * per_second(unit.t))))
+    ends = apart[-size:].mean() - apart[:size].mean()
+    apart = apart - ends / (unit.t[-1] - unit.t[0]) * unit.t
+    middle = median_filter(block_means(apart, size), STRAIGHT)
+    return np.asarray(apart - np.interp(unit.t, block_means(unit.t, size), middle))
 
 
 def _carried(unit: Unit, rate: Floats, angle: Floats | float, moving: Bools) -> Floats:

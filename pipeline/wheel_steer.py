@@ -218,9 +218,8 @@ def _disagreement(parts: Sequence[_Increments], value: Floats, grid_t: Floats) -
 
 def _standing(wheels: Sequence[TurnedWheel], t: Floats) -> Bools:
     """Where every given wheel stands."""
-    return np.all(
-        [np.interp(t, w.t, w.rest.astype(np.float64), left=0.0, right=0.0) > 0.99 for w in wheels], axis=0
-    )
+    still = [np.interp(t, w.t, w.rest.astype(np.float64), left=0.0, right=0.0) > 0.99 for w in wheels]
+    return np.asarray(np.all(still, axis=0))
 
 
 def _slow_mean(
@@ -235,15 +234,15 @@ def _slow_mean(
     size = int(5.0 * per_second(grid_t))
     seen = raw[~standing] if not standing.all() else raw
     error, doubt = np.full(raw.size, np.median(seen)), np.zeros(raw.size)
-    columns = (turned - turned.mean())[:, None]
+    columns = np.column_stack([raw - raw[0], turned - turned.mean()])
     for _ in range(DRIFT_ITERATIONS):
         swing = raw - error
         spread = max(robust_sd(swing[~standing]), float(MEAN_SD))
         straight = ~standing & (np.abs(swing) < TURNING * spread)
         slow = max(slow_noise(swing[straight], size), float(MEAN_SD) ** 2)
-        walked = smooth(raw - raw[0], columns, Walk(variance, np.where(straight, slow, np.inf)))
-        scale = solve([walked.whitened], np.array([GYRO_SCALE_SD]), [2 * size])
-        error, doubt = signal(walked, scale, columns)
+        walked = smooth(columns, Walk(variance, np.where(straight, slow, np.inf)), 2 * size)
+        scale = solve([walked.products], np.array([GYRO_SCALE_SD]))
+        error, doubt = signal(walked, scale, columns * np.array([0.0, 1.0]))
         error = error + raw[0]
     return error, doubt
 
@@ -267,7 +266,7 @@ def sensor_angle(t: Floats, angle: Floats, noise_sd: float, grid_t: Floats) -> t
     fitted, walk = fit_walk(t, angle)
     noise = max(fitted, noise_sd**2)
     walk = max(walk, 1.0e-12)
-    seen = smooth(angle - angle[0], np.empty((t.size, 0)), Walk(walk * np.diff(t), np.full(t.size, noise)))
+    seen = smooth((angle - angle[0])[:, None], Walk(walk * np.diff(t), np.full(t.size, noise)))
     after = np.clip(np.searchsorted(t, grid_t), 1, t.size - 1)
     away = np.minimum(np.abs(t[after] - grid_t), np.abs(grid_t - t[after - 1]))
     variance = np.interp(grid_t, t, seen.variance) + walk * away

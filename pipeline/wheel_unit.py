@@ -5,6 +5,7 @@ estimator.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from .wheel_series import Floats, block_means, fit_walk
 
 Complexes = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
+Series = TypeVar("Series", Floats, Complexes)
 
 REST_SPIN = 0.01  # rad/s by gravity, over two seconds: slower is standing
 REST_GYRO = 0.15  # rad/s: no gyro bias is larger
@@ -74,22 +76,22 @@ def integrate(t: Floats, rate: Floats) -> Floats:
     return np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))
 
 
-def running_mean(values: NDArray[np.generic], half: int) -> NDArray[np.generic]:
+def running_mean(values: Series, half: int) -> Series:
     """Mean over `half` samples to either side, fewer (but as many on both sides) near the ends."""
     index = np.arange(values.size)
     reach = np.minimum(np.minimum(index, values.size - 1 - index), half)
     total = np.append(0.0, np.cumsum(values))
-    return np.asarray((total[index + reach + 1] - total[index - reach]) / (2 * reach + 1))
+    mean: Series = (total[index + reach + 1] - total[index - reach]) / (2 * reach + 1)
+    return mean
 
 
-def by_state(rest: Bools, values: NDArray[np.generic]) -> NDArray[np.generic]:
+def by_state(rest: Bools, values: Complexes) -> Complexes:
     """Median of the samples at rest and of those in motion, each written over its own samples."""
     found = np.zeros_like(values)
     for state in (rest, ~rest):
         if state.any():
             part = values[state]
-            middle = np.median(part.real) + (1j * np.median(part.imag) if np.iscomplexobj(part) else 0.0)
-            found[state] = middle
+            found[state] = np.median(part.real) + 1j * np.median(part.imag)
     return found
 
 

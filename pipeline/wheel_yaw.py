@@ -28,7 +28,7 @@ from .wheel_series import (
     signal,
     smooth,
     solve,
-    whiten,
+    whitened_products,
 )
 from .wheel_unit import (
     CLUSTER,
@@ -86,9 +86,8 @@ def estimate_yaw_rate(unit: Unit, phase: Phase, doubt: Doubt) -> YawRate:
     roll, _ = _smoothed(unit, back.imag, clean_roll, np.hstack([columns.imag, blank, swings]), phase.rest)
     shares = swings.shape[1]
     prior = np.repeat([doubt.gyro_bias, doubt.tilt, doubt.tilt, SHARE], [2, 2, shares, shares])
-    size = CLUSTER * per_second(unit.t)
-    rest_rows = _rest_rows(unit, phase.rest, prior.size)
-    constants = solve([yaw.whitened, roll.whitened, rest_rows], prior, [size, size, 0])
+    at_rest = _rest_products(unit, phase.rest, prior.size)
+    constants = solve([yaw.products, roll.products, at_rest], prior)
     rate, variance = signal(yaw, constants)
     raw = back.real - np.hstack([columns.real, swings]) @ constants.value[: 4 + shares]
     dt = np.diff(unit.t)
@@ -106,7 +105,8 @@ def estimate_yaw_rate(unit: Unit, phase: Phase, doubt: Doubt) -> YawRate:
 def _smoothed(unit: Unit, y: Floats, clean: Floats, columns: Floats, rest: Bools) -> tuple[Smoothed, Floats]:
     """One quadrature smoothed with the noise that its bias-free version shows, and that noise."""
     step, noise, _ = walk_of(unit.t, clean, rest, unit.across_ok)
-    return smooth(y, columns, Walk(step, np.where(unit.across_ok, noise, np.inf), 1.0)), noise
+    walk = Walk(step, np.where(unit.across_ok, noise, np.inf), 1.0)
+    return smooth(np.column_stack([y, columns]), walk, CLUSTER * per_second(unit.t)), noise
 
 
 def _pitch(unit: Unit) -> Floats:
@@ -135,17 +135,17 @@ def _fit(columns: Floats, y: Floats) -> Floats:
     return np.asarray(columns @ np.linalg.lstsq(columns, y, rcond=None)[0])
 
 
-def _rest_rows(unit: Unit, rest: Bools, constants: int) -> Floats:
-    """What one-second means at rest say of the biases, as whitened rows (k, 1+constants).
+def _rest_products(unit: Unit, rest: Bools, constants: int) -> Floats:
+    """What one-second means at rest say of the biases, as products for `solve`.
 
     Blocks that differ from the median (a wheel steered while standing) are left out.
     """
     size = per_second(unit.t)
-    rows = []
+    total = np.zeros((1, 1 + constants, 1 + constants))
     for index, part in ((BIAS_X, unit.across.imag[rest]), (BIAS_Z, unit.across.real[rest])):
         means = block_means(part, size)
         means = means[np.abs(means - np.median(means)) < STEADY] if means.size else means
-        columns = np.zeros((means.size, constants))
-        columns[:, index] = 1.0
-        rows.append(whiten(means, columns, np.full(means.size, max(robust_sd(means), STILL_SD) ** 2)))
-    return np.concatenate(rows)
+        columns = np.zeros((means.size, 1 + constants))
+        columns[:, 0], columns[:, 1 + index] = means, 1.0
+        total += whitened_products(columns, np.full(means.size, max(robust_sd(means), STILL_SD) ** 2))
+    return total

@@ -163,11 +163,11 @@ def usable(gyro: Floats) -> Bools:
     Clipped: three or more equal samples in a row within 1 % of a customary full scale. Spike: `SPIKE` robust
     standard deviations off the median of its five neighbours.
     """
-    size = np.abs(gyro)
-    near = (np.abs(size[:, None] / FULL_SCALES - 1.0) < 0.01).any(axis=1)
-    same = np.append(False, near[1:] & (gyro[1:] == gyro[:-1]))
-    run = same & np.append(False, same[:-1])
-    clipped = run | np.append(run[1:], False) | np.append(run[2:], [False, False])
+    same = gyro[1:] == gyro[:-1]
+    run = np.flatnonzero(same[1:] & same[:-1])
+    run = run[(np.abs(np.abs(gyro[run, None]) / FULL_SCALES - 1.0) < 0.01).any(axis=1)]
+    clipped = np.zeros(gyro.size, dtype=bool)
+    clipped[np.concatenate([run, run + 1, run + 2])] = True
     off = gyro - median_filter(gyro, 5)
     limit = SPIKE * max(robust_sd(off), robust_sd(np.diff(gyro)), 1.0e-4)
     return ~clipped & (np.abs(off) <= limit)
