@@ -53,9 +53,10 @@ def read_ours(path: Path, count: int) -> None:
     from smts_validate.sensors.mcap_scan import open_recording
 
     def read() -> None:
-        found, faults = collect([open_recording(path)], [Topic(TOPIC, ("sensor_msgs/Imu",), take_imu)])
+        topics = {("imd1", "imu"): Topic(TOPIC, ("sensor_msgs/Imu",), take_imu)}
+        found, faults = collect([open_recording(path)], topics)
         assert not faults
-        assert len(found[TOPIC]) == count
+        assert len(found["imd1", "imu"]) == count
 
     yield_time(read)
 

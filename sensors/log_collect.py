@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +16,7 @@ from .mcap_scan import Fault, Recording
 from .ros_messages import definition, is_known, short_name
 
 Values = dict[str, NDArray[Any]]
+Key = tuple[str, str]  # sensor and part: ("gps", "vel")
 FIRST_ROWS = 1024  # room made for a topic whose message count no summary tells
 
 
@@ -136,28 +137,41 @@ def _joint_places(group: Group) -> dict[str, int]:
 # -- collecting ------------------------------------------------------------------------------------------
 
 
-def collect(recordings: Sequence[Recording], topics: Iterable[Topic]) -> tuple[dict[str, Found], list[Fault]]:
+def collect(
+    recordings: Sequence[Recording], topics: Mapping[Key, Topic]
+) -> tuple[dict[Key, Found], list[Fault]]:
     """Columns of the topics that are there, over all files of a recording, and what was damaged.
 
+    topics are looked for under keys of the caller's; several keys may look at one topic.
     Raises LogError, naming file and topic, for a type that is not expected or a message that cannot be read.
     """
-    wanted = {topic.name: topic for topic in topics}
-    found: dict[str, Found] = {}
+    names = {topic.name for topic in topics.values()}
+    found: dict[Key, Found] = {}
     faults: list[Fault] = []
     for recording in recordings:
         faults += recording.faults
-        for channel in recording.channels.values():
-            if channel.topic in wanted:
-                found.setdefault(channel.topic, Found(_room(recordings, channel.topic)))
+        _make_room(found, recordings, recording, topics)
         try:
-            for item in read_messages(recording, lambda channel: channel.topic in wanted):
+            for item in read_messages(recording, lambda channel: channel.topic in names):
                 if isinstance(item, Fault):
                     faults.append(item)
-                else:
-                    _add(found.setdefault(item.channel.topic, Found()), wanted[item.channel.topic], item)
+                    continue
+                for key, topic in topics.items():
+                    if topic.name == item.channel.topic:
+                        _add(found.setdefault(key, Found()), topic, item)
         except (CdrError, McapError) as error:
             raise LogError(f"{recording.path}: {error}") from None
     return found, faults
+
+
+def _make_room(
+    found: dict[Key, Found], all_of_it: Sequence[Recording], one: Recording, topics: Mapping[Key, Topic]
+) -> None:
+    """A topic that has a channel but no messages is there too."""
+    there = {channel.topic for channel in one.channels.values()}
+    for key, topic in topics.items():
+        if topic.name in there and key not in found:
+            found[key] = Found(_room(all_of_it, topic.name))
 
 
 def _room(recordings: Sequence[Recording], topic: str) -> int:

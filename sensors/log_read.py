@@ -21,6 +21,7 @@ from .cdr import Group
 from .health import health_of
 from .log_collect import (
     Found,
+    Key,
     LogError,
     Topic,
     Values,
@@ -147,12 +148,13 @@ def _places(name: str, sensor: Any) -> dict[str, str]:
     return {"steer": sensor.topic or f"/{name}"}
 
 
-_TAKES: dict[str, tuple[tuple[str, ...], Callable[[Group], Values]]] = {
+_TAKES: dict[str, tuple[tuple[str, ...], Callable[[Group], Values] | None]] = {
     "imu": (("sensor_msgs/Imu",), take_imu),
     "mag": (("sensor_msgs/MagneticField",), take_mag),
     "fix": (("sensor_msgs/NavSatFix",), take_fix),
     "vel": (("geometry_msgs/TwistStamped", "geometry_msgs/TwistWithCovarianceStamped"), take_velocity),
     "quality": (("sensor_msgs/JointState",), take_joints(GNSS_EXTRAS)),
+    "steer": (("sensor_msgs/JointState",), None),  # of the joint that the manifest names
 }
 
 
@@ -161,21 +163,19 @@ def _joint(sensor: Any) -> str:
     return str(sensor.columns.get("angle", "steering"))
 
 
-def _topics(manifest: Manifest) -> list[Topic]:
-    found = []
+def _topics(manifest: Manifest) -> dict[Key, Topic]:
+    found = {}
     for name, sensor in manifest.sensors.items():
         for i, (part, topic) in enumerate(_places(name, sensor).items()):
-            if part == "steer":
-                found.append(Topic(topic, ("sensor_msgs/JointState",), take_joints([_joint(sensor)])))
-            else:
-                found.append(Topic(topic, *_TAKES[part], optional=i > 0))
+            types, take = _TAKES[part]
+            found[name, part] = Topic(topic, types, take or take_joints([_joint(sensor)]), optional=i > 0)
     return found
 
 
 # -- streams ---------------------------------------------------------------------------------------------
 
 
-def _stream(name: str, sensor: Any, found: Mapping[str, Found], warnings: list[Warn]) -> Stream | None:
+def _stream(name: str, sensor: Any, found: Mapping[Key, Found], warnings: list[Warn]) -> Stream | None:
     """A sensor's stream, None when the part that it needs has no messages."""
     places = _places(name, sensor)
     main = next(iter(places))
@@ -186,8 +186,8 @@ def _stream(name: str, sensor: Any, found: Mapping[str, Found], warnings: list[W
     }
     parts: dict[str, Values] = {}
     for part, topic in places.items():
-        if topic in found:
-            parts[part] = _in_order(name, topic, found[topic], finite.get(part, ()), warnings)
+        if (name, part) in found:
+            parts[part] = _in_order(name, topic, found[name, part], finite.get(part, ()), warnings)
     if main not in parts or parts[main]["stamp"].size == 0:
         return None
     t, t_arrival = (

@@ -205,7 +205,8 @@ def _cut_chunk(data: Bytes, table: Table) -> tuple[Chunk, ...]:
 
 def _damage(data: Bytes, table: Table, closed: bool) -> tuple[Fault, ...]:
     if table.complete and closed:
-        return ()
+        ends = np.isin([int(Op.DATA_END), int(Op.FOOTER)], table.opcode)
+        return () if ends.all() else (Fault("the file lacks its data end or footer", "read all the same"),)
     if table.complete:
         return (Fault("the file ends without its closing magic bytes", "read up to its end"),)
     lost = data.size - table.end
