@@ -79,7 +79,7 @@ def not_isolated(values: Ints, unit: float) -> Bools:
 
 def check_host_scale(host_ns: Ints, table: Table, column: str, unit: str) -> None:
     """Raises RawError when the times are Unix times in another unit than they are said to be."""
-    seconds = float(np.median(host_ns)) * 1.0e-9
+    seconds = float(np.median(host_ns)) * 1.0e-9 if host_ns.size else 0.0
     if seconds == 0.0 or YEAR_2000 <= seconds <= YEAR_2100:
         return
     for other, size in SECONDS.items():

@@ -25,9 +25,7 @@ def told(error: ValidationError, text: str, tables: Tables) -> str:
     first = min(found, key=lambda one: order.get(one["type"], 1))
     place = _place(first["loc"])
     line = _line_of(text, place)
-    more = (
-        f" ({len(found) - 1} more mistakes)" if len(found) > 1 and first["type"] != "extra_forbidden" else ""
-    )
+    more = f" ({len(found) - 1} more)" if len(found) > 1 and first["type"] != "extra_forbidden" else ""
     at = f", line {line}" if line else ""
     return f"{at}: {'.'.join(place)}{': ' if place else ''}{_complaint(dict(first), place, tables)}{more}"
 

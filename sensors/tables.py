@@ -30,7 +30,7 @@ NULLS = ["", "nan", "NaN", "NAN", "null", "NULL", "NA", "N/A", "-", "none", "Non
 
 
 def read_bytes(path: Path) -> bytes:
-    """A raw file's bytes; zero bytes at its end, as a power cut leaves them, are cut off.
+    """A raw file's bytes.
 
     Raises RawError for what is no regular file or too large to be one pass.
     """
@@ -45,9 +45,14 @@ def read_bytes(path: Path) -> bytes:
         data = path.read_bytes()
     except OSError as error:
         raise RawError(f"{path.name}: cannot be read: {error.strerror}") from None
-    if not data.rstrip(b"\0").strip():
+    if not data.strip(b"\0 \t\r\n"):
         raise RawError(f"{path.name}: is empty")
     return data
+
+
+def read_text(path: Path) -> bytes:
+    """A text file as UTF-8; zero bytes at its end, as a power cut leaves them, are cut off."""
+    return as_utf8(read_bytes(path), path.name).rstrip(b"\0")
 
 
 def as_utf8(data: bytes, file: str) -> bytes:
@@ -58,7 +63,7 @@ def as_utf8(data: bytes, file: str) -> bytes:
             return body.decode(codec, "replace").encode() if codec else body
     if len(data) > 3 and data[1] == 0 and data[3] == 0 and data[0] != 0:
         return data.decode("utf-16-le", "replace").encode()
-    if b"\0" in data[:4096]:
+    if b"\0" in data[:4096].rstrip(b"\0"):
         raise RawError(f"{file}: holds zero bytes: it is not text; export it as CSV")
     return data
 
@@ -139,7 +144,7 @@ class Table:
         column = self.columns[name]
         if pa.types.is_integer(column.type):
             return True
-        return bool(pa.types.is_string(column.type) and _integer_cells(column).mean() > 0.5)
+        return bool(pa.types.is_string(column.type) and _mostly(_integer_cells(column)))
 
     @cached_property
     def size(self) -> int:
@@ -152,6 +157,10 @@ def _coerced(column: pa.ChunkedArray) -> Floats:
     return np.asarray(pd.to_numeric(text, errors="coerce"), dtype=np.float64)
 
 
+def _mostly(flags: Bools) -> bool:
+    return bool(2 * np.count_nonzero(flags) > flags.size)
+
+
 def _integer_cells(column: pa.ChunkedArray) -> Bools:
     match = pc.match_substring_regex(column, r"^\s*[+-]?[0-9]{1,18}\s*$|^\s*[+-]?[0-8][0-9]{18}\s*$")
     return np.asarray(match.fill_null(False).to_numpy(), dtype=np.bool_)
@@ -159,7 +168,7 @@ def _integer_cells(column: pa.ChunkedArray) -> Bools:
 
 def _whole(column: pa.ChunkedArray) -> tuple[Ints, Bools]:
     cells = _integer_cells(column)
-    if cells.mean() < 0.5:
+    if not _mostly(cells):
         return _rounded(_coerced(column))
     whole = np.zeros(cells.size, dtype=np.int64)
     whole[cells] = pc.utf8_trim_whitespace(column.filter(pa.array(cells))).cast(pa.int64()).to_numpy()
@@ -183,7 +192,7 @@ def read_table(
 
     Raises RawError : the file is no table.
     """
-    data = as_utf8(read_bytes(path).rstrip(b"\0"), path.name)
+    data = read_text(path)
     header = find_header(data, path.name, wanted)
     return parse_table(data, header, path.name, kinds)
 
@@ -199,7 +208,7 @@ def parse_table(data: bytes, header: Header, file: str, kinds: Mapping[str, str]
         table, dropped = (
             _parse(body, header, types, strict=True) if kinds else _parse(body, header, {}, False)
         )
-    except pa.ArrowInvalid:
+    except pa.ArrowException:
         table, dropped = _lenient(body, header, list(types), file)
     rows = _line_numbers(table.num_rows, header.lines, dropped)
     columns = {name: table.column(name) for name in table.column_names}
@@ -207,9 +216,10 @@ def parse_table(data: bytes, header: Header, file: str, kinds: Mapping[str, str]
 
 
 def _lenient(body: bytes, header: Header, names: list[str], file: str) -> tuple[pa.Table, list[Rejected]]:
+    text = body.decode("utf-8", "replace").encode()
     try:
-        return _parse(body, header, dict.fromkeys(names, pa.string()), strict=False)
-    except pa.ArrowInvalid as error:
+        return _parse(text, header, dict.fromkeys(names, pa.string()), strict=False)
+    except pa.ArrowException as error:
         reason = str(error).splitlines()[0][:120]
         raise RawError(f"{file}: cannot be read as a table ({reason}); export it again as CSV") from None
 
@@ -226,7 +236,7 @@ def _body(data: bytes, header: Header, file: str) -> tuple[bytes, list[Rejected]
     if not body.strip():
         raise RawError(f"{file}: has a header but no rows")
     if body.endswith((b"\n", b"\r")):
-        return body, []
+        return body.rstrip(b"\r\n") + b"\n", []
     last = body.rfind(b"\n") + 1
     if last == 0:
         raise RawError(f"{file}: its only row is cut off")
@@ -254,7 +264,7 @@ def _columns(header: Header, body: bytes, file: str) -> tuple[str, ...]:
 def _plain(body: bytes, separator: str) -> bytes:
     """No quotes; decimal points for decimal commas (which only other separators allow, or quotes)."""
     if b'"' in body:
-        body = re.sub(rb'"([+-]?[0-9]*),([0-9eE+-]*)"', rb"\1.\2", body).replace(b'"', b"")
+        body = re.sub(rb'"([+-]?[0-9]+),([0-9eE+-]+)"', rb"\1.\2", body).replace(b'"', b"")
     if separator != "," and b"," in body:
         body = body.replace(b",", b".")
     return body

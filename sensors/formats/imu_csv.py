@@ -22,7 +22,7 @@ from ..manifest import GRAVITY, Imd, Sensor, Units, Wds
 from ..presets import PRESETS
 from ..raw import Floats, Ints, RawError, RawImu
 from ..streams import Warn
-from ..tables import Bools, Header, Table, as_utf8, find_header, parse_table, read_bytes
+from ..tables import Bools, Header, Table, find_header, parse_table, read_text
 
 HOST, DEVICE, SEQ = "t_host_ns", "t_dev_us", "seq"
 ACCEL, GYRO, MAG = ("ax", "ay", "az"), ("gx", "gy", "gz"), ("mx", "my", "mz")
@@ -58,7 +58,7 @@ def read(path: Path, sensor: Sensor, name: str, date: dt.date) -> RawImu:
     Raises RawError : a column is missing, or most rows are unusable.
     """
     del date
-    data = as_utf8(read_bytes(path).rstrip(b"\0"), path.name)
+    data = read_text(path)
     header, layout = find_layout(data, path.name, sensor)
     kinds = {column: "int" if key in WHOLE else "float" for key, column in layout.columns.items()}
     rate = sensor.rate if isinstance(sensor, Imd | Wds) else 100.0

@@ -10,7 +10,7 @@ import numpy as np
 from ..checks import SECONDS, check_host_scale, kept_rows, not_isolated, times_ns
 from ..manifest import Sensor, Steer
 from ..raw import RawError, RawSteer
-from ..tables import as_utf8, find_header, parse_table, read_bytes
+from ..tables import find_header, parse_table, read_text
 
 HOST, ANGLE = "t_host_ns", "angle"
 ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180.0}
@@ -26,7 +26,7 @@ def reads(sensor: Sensor, path: Path, head: bytes) -> bool:
 def read(path: Path, sensor: Sensor, name: str, date: dt.date) -> RawSteer:
     """The steering angles; rows that cannot be used are left out, counted and named in warnings."""
     del date
-    data = as_utf8(read_bytes(path).rstrip(b"\0"), path.name)
+    data = read_text(path)
     host, angle = sensor.columns.get(HOST, HOST), sensor.columns.get(ANGLE, ANGLE)
     header = find_header(data, path.name, [host, angle])
     for column in (host, angle):
