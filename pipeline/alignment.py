@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class Alignment:
 
 def bound(parameters: int) -> float:
     """The χ² that an alignment of so many parameters may reach: 7.81 for three."""
-    return float(chi2.ppf(LEVEL, parameters))
+    return float(2.0 * gammaincinv(parameters / 2.0, LEVEL))
 
 
 def align(residual: Floats, sensitivity: Floats, weights: Floats, prior: Floats) -> Alignment:

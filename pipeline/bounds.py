@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 Floats = NDArray[np.float64]
 
@@ -160,7 +160,7 @@ def half_width(summary: Summary, level: float, count: int | None = None, dof: in
     if dof < 1:
         return float("inf")
     variance = (summary.spread2 + summary.count * summary.log_r95_variance) / count
-    return float(student.ppf(level, dof) * np.sqrt(variance))
+    return float(stdtrit(dof, level) * np.sqrt(variance))
 
 
 def upper(summary: Summary, width: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import detrend, find_peaks
 from scipy.signal.windows import hann
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -121,7 +121,7 @@ def welch(signals: Sequence[Floats], step: float, segment: int | None = None) ->
     size = choose_segment(records, step) if segment is None else segment
     frequency, density, count = _average(records, step, size)
     dof = overlap_dof(records, size)
-    low, high = chi2.ppf([(1.0 + LEVEL) / 2.0, (1.0 - LEVEL) / 2.0], dof)
+    low, high = 2.0 * gammaincinv(dof / 2.0, [(1.0 + LEVEL) / 2.0, (1.0 - LEVEL) / 2.0])
     return Density(frequency, density, density * dof / low, density * dof / high, dof, count, size * step)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from . import state as s
 from .engine_compiled import Filtered
@@ -47,7 +47,7 @@ def _channel(channel: str, dof: int, a: NDArray[np.int64], b: NDArray[np.int64],
     independent = min(good.size * (1.0 - rho**2) / (1.0 + rho**2), MOST)
     freedom = max(independent, 1.0) * dof
     tail = 0.5 * (1.0 - LEVEL)
-    low, high = (float(chi2.ppf(level, freedom) / freedom * dof) for level in (tail, 1.0 - tail))
+    low, high = (float(2.0 * gammaincinv(freedom / 2.0, level) / freedom * dof) for level in (tail, 1.0 - tail))
     mean = float(good.mean()) if good.size else float("nan")
     fine = low <= mean <= high and abs(rho) < MOST_CORRELATED and (~used).mean() <= MOST_REFUSED
     return SensorConsistency(channel, int(a.size), int((~used).sum()), dof, mean, low, high, rho, bool(fine))
