@@ -15,13 +15,17 @@ from .twin_tables import PlanError, read_toml
 COMPASS = {"east": 0.0, "north": 90.0, "west": 180.0, "south": 270.0}
 DEFAULT_LABEL = {"fields": "field1", "directions": "east", "variants": "b"}
 AXES = tuple(DEFAULT_LABEL)
+RULES = {"threshold_percent": 15.0, "alpha": 0.05, "horizon": 25.0}
 SPACING = 600.0  # s between the starts of a campaign's passes
 TRUTH = "truth"  # folder beside the passes
 
 
 @dataclass(frozen=True)
 class CampaignPlan:
-    """Fields × directions × variants × repeats of one base plan. Each axis is label → changes of the plan."""
+    """Fields × directions × variants × repeats of one base plan. Each axis is label → changes of the plan.
+
+    threshold_percent, alpha, horizon : what campaign.toml would say, for the forecast of verdicts
+    """
 
     base: TwinPlan
     fields: Mapping[str, Mapping[str, Any]]
@@ -29,6 +33,9 @@ class CampaignPlan:
     variants: Mapping[str, Mapping[str, Any]]
     repeats: int = 1
     seed: int = 0
+    threshold_percent: float = RULES["threshold_percent"]
+    alpha: float = RULES["alpha"]
+    horizon: float = RULES["horizon"]
 
     def passes(self) -> Iterator[tuple[TwinPlan, int]]:
         """(plan, seed) of every pass; ids are field-variant-direction-repeat, seeds follow each other."""
@@ -70,7 +77,7 @@ def read_campaign(path: Path) -> CampaignPlan:
 
 def campaign_from(table: Mapping[str, Any], folder: Path = Path()) -> CampaignPlan:
     """A campaign plan from its TOML form (see `read_campaign`)."""
-    known = {"preset", "plan", "seed", "repeats", "base", *AXES}
+    known = {"preset", "plan", "seed", "repeats", "base", *AXES, *RULES}
     for key in table:
         if key not in known:
             raise PlanError(f"{key}: unknown key; a campaign has {', '.join(sorted(known))}")
@@ -78,12 +85,24 @@ def campaign_from(table: Mapping[str, Any], folder: Path = Path()) -> CampaignPl
         read_plan(folder / table["plan"]) if "plan" in table else preset(str(table.get("preset", "benign")))
     )
     base = changed(start, table.get("base", {}))
-    axes = {axis: _axis(table.get(axis), axis) for axis in AXES}
-    axes["directions"] = {label: _turned(base, label, c) for label, c in axes["directions"].items()}
+    fields, directions, variants = (_axis(table.get(axis), axis) for axis in AXES)
+    turned = {label: _turned(base, label, changes) for label, changes in directions.items()}
     repeats, seed = table.get("repeats", 1), table.get("seed", 0)
     if not (isinstance(repeats, int) and repeats >= 1 and isinstance(seed, int) and seed >= 0):
         raise PlanError("repeats must be a whole number from 1, seed one from 0")
-    return CampaignPlan(base, **axes, repeats=repeats, seed=seed)
+    return CampaignPlan(base, fields, turned, variants, repeats, seed, *_rules(table))
+
+
+def _rules(table: Mapping[str, Any]) -> tuple[float, float, float]:
+    """threshold_percent, alpha and horizon: numbers above 0."""
+    found = []
+    for key, usual in RULES.items():
+        value = table.get(key, usual)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0.0:
+            raise PlanError(f"{key}: {value!r} must be a number above 0")
+        found.append(float(value))
+    threshold, alpha, horizon = found
+    return threshold, alpha, horizon
 
 
 def _axis(given: Any, axis: str) -> dict[str, Mapping[str, Any]]:

@@ -98,10 +98,10 @@ class SoilPlan:
     and its course.
     """
 
-    side_force_tractor: float = 900.0
-    side_force_seeder: float = 900.0
-    yaw_moment_tractor: float = 500.0
-    yaw_moment_seeder: float = 700.0
+    side_force_tractor: float = 600.0
+    side_force_seeder: float = 600.0
+    yaw_moment_tractor: float = 300.0
+    yaw_moment_seeder: float = 400.0
     correlation_length: float = 1.5
     roughness: float = 1500e-6
     slope_east: float = 0.004
@@ -237,7 +237,7 @@ PRESETS: Mapping[str, TwinPlan] = types.MappingProxyType(
             path=PathPlan(duration=60.0, row_length=200.0),
             gnss=GnssPlan(outages=((25.0, 8.0),), floats=((33.0, 10.0),)),
         ),
-        "headland": TwinPlan(path=PathPlan(rows=2, row_length=70.0)),
+        "headland": TwinPlan(path=PathPlan(rows=2, row_length=90.0)),
         "metre_gps": TwinPlan(path=PathPlan(duration=60.0, row_length=200.0), gnss=METRE_LEVEL),
         "wrong_machine": TwinPlan(path=PathPlan(duration=60.0, row_length=200.0), truth=WRONG_MACHINE),
     }
