@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import os
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+import tempfile
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,15 +13,14 @@ from typing import Any
 
 from .batch_campaign import summarise
 from .batch_executors import SerialExecutor, WorkerSlots, dask_executor
-from .batch_find import find
+from .batch_find import CAMPAIGN, find, is_url, read_bytes
 from .batch_limits import Limits
 from .batch_loop import BatchRun, Watch, run_all
 from .batch_plan import Plan, Terms, plan
-from .batch_store import Store, open_store, work_folder
+from .batch_store import work_folder
 from .batch_task import Outcome, Task, run_task
-from .run import RunSettings
-
-FAILURES = "failures.json"
+from .campaign_settings import CampaignSettings, read_settings
+from .run_settings import of_campaign
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,6 @@ class Request:
     scheduler: str | None = None
     resume: bool = True
     campaign: str | None = None
-    settings: RunSettings = RunSettings()
     limits: Limits = Limits()
     summarise: bool = True
 
@@ -44,23 +41,45 @@ def run_batch(request: Request, watch: Watch, work: Callable[[Task], Outcome] = 
     """Run every pass under the paths, then the campaign over all that have a result.
 
     Returns the summary: counts, failures, and the campaign's verdict (None without a pass that succeeded).
-    Raises FindError when there is nothing to run, InterruptedBatch on Ctrl-C.
+    Raises FindError when there is nothing to run, CampaignError for a campaign.toml that cannot be used,
+    InterruptedBatch on Ctrl-C.
     """
     found = find(request.paths, request.out)
+    campaign = read_campaign(request.campaign or found.campaign)
     with work_folder(request.out) as folder:
-        terms = Terms(request.out, folder, request.settings, request.resume, request.limits)
+        terms = Terms(request.out, folder, of_campaign(campaign), request.resume, request.limits)
         planned = plan(found.sources, terms)
-        ran = _run(planned, request, watch, work)
-        store = open_store(request.out, folder)
-        runs = [task.run for task in planned.tasks if task.run not in {f.run for f in ran.failures}]
-        return _finish(store, ran, runs, request)
+        with _executor(request, len(planned.tasks)) as (executor, slots):
+            ran = _with_refused(run_all(planned.tasks, executor, slots, watch, work), planned)
+            failed = {outcome.run for outcome in ran.failures}
+            runs = tuple(task.run for task in planned.tasks if task.run not in failed)
+            summary = _summary(request, ran)
+            if request.summarise:
+                # A worker sums up: what it reads of the passes stays out of this process.
+                summary |= executor.submit(
+                    summarise, request.out, runs, summary["failures"], campaign
+                ).result()
+            return summary
 
 
-def _run(planned: Plan, request: Request, watch: Watch, work: Callable[[Task], Outcome]) -> BatchRun:
-    with _executor(request, len(planned.tasks)) as (executor, slots):
-        ran = run_all(planned.tasks, executor, slots, watch, work)
+def _with_refused(ran: BatchRun, planned: Plan) -> BatchRun:
     failures = sorted((*ran.failures, *planned.refused), key=lambda outcome: (outcome.run, outcome.source))
     return replace(ran, total=ran.total + len(planned.refused), failures=tuple(failures))
+
+
+def _summary(request: Request, ran: BatchRun) -> dict[str, Any]:
+    failures = [{"run": f.run, "source": f.source, "reason": f.reason} for f in ran.failures]
+    return {
+        "out": request.out,
+        "passes": ran.total,
+        "done": ran.done,
+        "unchanged": ran.unchanged,
+        "failed": len(failures),
+        "seconds": round(ran.seconds, 3),
+        "failures": failures,
+        "verdict": None,
+        "report": None,
+    }
 
 
 @contextmanager
@@ -78,33 +97,14 @@ def _executor(request: Request, tasks: int) -> Iterator[tuple[Executor, int]]:
         executor.shutdown(wait=False, cancel_futures=True)
 
 
-def _finish(store: Store, ran: BatchRun, runs: Sequence[str], request: Request) -> dict[str, Any]:
-    failures = [{"run": f.run, "source": f.source, "reason": f.reason} for f in ran.failures]
-    summary: dict[str, Any] = {
-        "out": request.out,
-        "passes": ran.total,
-        "done": ran.done,
-        "unchanged": ran.unchanged,
-        "failed": len(failures),
-        "seconds": round(ran.seconds, 3),
-        "failures": failures,
-        "verdict": None,
-        "report": None,
-    }
-    if not request.summarise:
-        return summary
-    with store.local(runs) as out:
-        write_whole(out / FAILURES, {"schema": 1, "failures": failures})
-        if runs:
-            summary |= summarise(out, runs, request.campaign)
-    return summary
-
-
-def write_whole(path: Path, document: dict[str, Any]) -> None:
-    """Write a JSON file under another name and rename it: it is whole or not there."""
-    part = path.with_name(f".{path.name}.part")
-    part.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    os.replace(part, path)
+def read_campaign(path: str | None) -> CampaignSettings:
+    """The settings of a campaign.toml, on disk or behind a URL; the defaults without one."""
+    if path is None or not is_url(path):
+        return read_settings(None if path is None else Path(path))
+    with tempfile.TemporaryDirectory(prefix="smts-") as folder:
+        copy = Path(folder) / CAMPAIGN
+        copy.write_bytes(read_bytes(path))
+        return read_settings(copy)
 
 
 def commands(request: Request) -> list[str]:
@@ -113,6 +113,7 @@ def commands(request: Request) -> list[str]:
     The passes' commands may run in any order and at the same time, on any machine that sees the paths.
     """
     found = find(request.paths, request.out)
-    tail = ["-o", request.out, *(("--campaign", request.campaign) if request.campaign else ())]
+    campaign = request.campaign or found.campaign
+    tail = ["-o", request.out, *(("--campaign", campaign) if campaign else ())]
     alone = [["-j", "0", "--no-campaign", *tail, source.path] for source in found.sources]
     return [shlex.join(["smts-validate", "batch", *words]) for words in (*alone, [*tail, *request.paths])]

@@ -1,31 +1,90 @@
-"""From the stored results of a batch to the campaign's table, statistics and report."""
+"""From the stored results of a batch to the campaign's verdict, table and report: the batch's last task."""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .batch_store import PASSES
+from .batch_find import join
+from .batch_store import PASSES, open_store
 from .batch_table import Row, row, write_rows
+from .campaign_settings import CampaignSettings
 
+DOCUMENT = "campaign.json"
 TABLE = "campaign.parquet"
+FAILURES = "failures.json"
+REPORT = "report.html"
+REPORTS = (REPORT, "report.pdf")
 
 
-def summarise(out: Path, runs: Sequence[str], campaign: str | None) -> dict[str, Any]:
-    """Write the campaign's files into `out` from out/passes/<run>; its verdict and its report's path."""
-    part = out / f".{TABLE}.part"
-    write_rows(part, runs, lambda run: stored_row(out / PASSES / run))
-    os.replace(part, out / TABLE)
-    return {}
+def summarise(
+    out: str, runs: Sequence[str], failures: Sequence[Mapping[str, Any]], settings: CampaignSettings
+) -> dict[str, Any]:
+    """Write failures.json and, of the runs that have a result, the campaign's files into OUT.
+
+    Returns the campaign's verdict, discrepancy and report for the batch's summary; nothing without a run.
+    Raises CampaignError where campaign.toml and the results do not fit.
+    """
+    with open_store(out, "").local(list(runs)) as folder:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / FAILURES, json_text({"schema": 1, "failures": list(failures)}))
+        if not runs:
+            return {}
+        document = write_campaign(folder, runs, settings)
+    return {
+        "verdict": document["verdict"],
+        "discrepancy": document["discrepancy"],
+        "report": join(out, REPORT) if (Path(out) / REPORT).is_file() else None,
+    }
+
+
+def write_campaign(folder: Path, runs: Sequence[str], settings: CampaignSettings) -> Mapping[str, Any]:
+    """campaign.json and campaign.parquet of the stored passes of a local OUT; gives the former's content."""
+    from .campaign import read_record, summarise_campaign
+
+    part = folder / f".{TABLE}.part"
+    write_rows(part, runs, lambda run: stored_row(folder / PASSES / run))
+    os.replace(part, folder / TABLE)
+    campaign = summarise_campaign([read_record(folder / PASSES / run) for run in runs], settings)
+    write_whole(folder / DOCUMENT, json_text(campaign.document))
+    write_reports(folder)
+    return campaign.document
+
+
+def write_reports(folder: Path) -> None:
+    """The campaign's reports of a local OUT, made in a folder beside and renamed into place."""
+    from .report_campaign import write_campaign_report
+
+    with tempfile.TemporaryDirectory(prefix=".report.", dir=folder) as name:
+        part = Path(name)
+        for needed in (DOCUMENT, FAILURES, PASSES):
+            (part / needed).symlink_to(Path("..") / needed)
+        write_campaign_report(part)
+        for made in REPORTS:
+            os.replace(part / made, folder / made)
 
 
 def stored_row(folder: Path) -> Row:
     """The campaign table's row of one stored result."""
-    import json
-
     from ..sensors.manifest import read
 
     manifest, _ = read(folder / "run.toml")
     return row(manifest, json.loads((folder / "metrics.json").read_text(encoding="utf-8")))
+
+
+def json_text(document: Mapping[str, Any]) -> str:
+    """Readable JSON without NaN."""
+    from .result import dump_json
+
+    return dump_json(document)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file under another name and rename it: it is whole or not there."""
+    part = path.with_name(f".{path.name}.part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)

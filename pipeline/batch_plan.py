@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from .batch_find import LOG_SUFFIX, MANIFEST, Source, is_url, join, read_text
 from .batch_limits import Limits
 from .batch_task import Outcome, Task
-from .run import RunSettings
+from .run_settings import RunSettings
 
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # it becomes a folder's name
 

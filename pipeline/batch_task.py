@@ -17,7 +17,7 @@ from .batch_find import Source, filesystem, is_url
 from .batch_limits import LimitReached, Limits, limited
 from .batch_store import Store, open_store
 from .batch_warm import compiled_once
-from .run import RunSettings
+from .run_settings import RunSettings
 
 Status = Literal["done", "unchanged", "failed"]
 BLOCK = 1 << 20

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,26 +13,17 @@ from typing import Any
 from ..model.machine import Machine
 from ..sensors.streams import FieldLog
 from . import findings
-from .adequacy import Rules, judge_pass
+from .adequacy import judge_pass
 from .compare import compare
 from .fusion.fuse import fuse
-from .fusion.settings import FusionSettings
-from .replay import ReplaySettings
 from .report import finish
 from .result import PassResult, write_result
+from .run_settings import RunSettings
 from .source import read_source
+from .spectra import spectra_of
 
 Say = Callable[[str], None]
 PACKAGES = ("smts-validate", "numpy", "scipy", "numba", "pandas", "pyarrow", "filterpy", "pymap3d", "mcap")
-
-
-@dataclass(frozen=True)
-class RunSettings:
-    """Options of one pass, all that its result depends on beside its files."""
-
-    fusion: FusionSettings = FusionSettings()
-    replay: ReplaySettings = ReplaySettings()
-    rules: Rules = Rules()
 
 
 def silent(message: str) -> None:
@@ -48,7 +39,9 @@ def run_pass(log: FieldLog, settings: RunSettings = RunSettings(), say: Say = si
     say("fusing the sensors")
     motion = fuse(log, settings.fusion)
     say("replaying the model")
-    comparison = compare(motion, machine_of(log), manifest, settings.replay)
+    machine = machine_of(log)
+    comparison = compare(motion, machine, manifest, settings.replay)
+    spectra = spectra_of(motion, comparison, machine)
     verdict = judge_pass(comparison.statistics, settings.rules)
     return PassResult(
         manifest=manifest,
@@ -57,6 +50,7 @@ def run_pass(log: FieldLog, settings: RunSettings = RunSettings(), say: Say = si
         rows=comparison.found,
         simulated=findings.simulated_columns(motion, comparison),
         comparison=findings.comparison_columns(comparison),
+        plots=spectra.plots,
         metrics=findings.metrics_of(
             manifest,
             motion,
@@ -64,6 +58,7 @@ def run_pass(log: FieldLog, settings: RunSettings = RunSettings(), say: Say = si
             verdict,
             warnings=log.warnings,
             health=log.health,
+            spectra=spectra.values,
             provenance=provenance(log, settings),
         ),
     )

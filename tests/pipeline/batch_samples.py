@@ -9,7 +9,7 @@ from pathlib import Path
 
 from smts_validate.pipeline.batch_find import Source
 from smts_validate.pipeline.batch_task import Outcome, Task
-from smts_validate.pipeline.run import RunSettings
+from smts_validate.pipeline.run_settings import RunSettings
 
 
 def task(run: str, source: str = "", out: str = "") -> Task:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from smts_validate.pipeline.batch_find import FindError, Source, find
 from smts_validate.pipeline.batch_plan import Terms, name, plan
-from smts_validate.pipeline.run import RunSettings
+from smts_validate.pipeline.run_settings import RunSettings
 from smts_validate.sensors.log import Attachment, write_channels
 
 
