@@ -91,7 +91,7 @@ def _draw_panel(axes: Axes, chart: Chart, panel: Panel) -> None:
         axes.set_yscale("log")
     if chart.to_scale:
         axes.set_aspect("equal", adjustable="datalim")
-    if any(curve.style == "bars" for curve in panel.curves):
+    if chart.discrete:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.margins(x=0.01)
     axes.legend(

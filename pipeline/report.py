@@ -76,14 +76,15 @@ def table_csv(table: Table) -> str:
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(table.columns)
-    writer.writerows(table.rows)
+    writer.writerows([cell.replace("\u00a0", " ") for cell in row] for row in table.rows)
     return buffer.getvalue()
 
 
 TEX_SIGNS = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{",
     "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "−": "$-$", "°": r"$^\circ$",
-    "²": "$^2$", "³": "$^3$", "±": r"$\pm$", "·": r"$\cdot$", "–": "--", "χ": r"$\chi$", "σ": r"$\sigma$",
+    "²": "$^2$", "³": "$^3$", "±": r"$\pm$", "\u00a0": "~", "·": r"$\cdot$",
+    "–": "--", "χ": r"$\chi$", "σ": r"$\sigma$",
     **{sign: f"$_{digit}$" for digit, sign in enumerate("₀₁₂₃₄₅₆₇₈₉")},
 }  # fmt: skip
 
@@ -95,7 +96,7 @@ def tex_text(text: str) -> str:
 
 def table_latex(table: Table) -> str:
     """The table as LaTeX (package booktabs), ready to be put into a paper."""
-    align = "l" + ("r" if table.numeric else "l") * (len(table.columns) - 1)
+    align = "".join("r" if numeric else "l" for numeric in table.numeric)
     lines = [" & ".join(tex_text(cell) for cell in row) + r" \\" for row in (table.columns, *table.rows)]
     body = "\n".join(lines[1:])
     return (

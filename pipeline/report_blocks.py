@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+UNITS = {"to", "cm", "mm", "ms", "Hz", "ppm", "MPa", "kg", "rad"}  # words that a number may hold
 
 Role = Literal[
     "measured", "simulated", "measured2", "simulated2", "residual", "null", "tractor", "seeder",
@@ -32,16 +34,28 @@ class Missing:
     text: str
 
 
+def is_number(cell: str) -> bool:
+    """Whether a cell holds a number, perhaps with its unit, a range of numbers, or a dash for none."""
+    return cell[:1] in set("−–(0123456789") and set(re.findall(r"[A-Za-z]{2,}", cell)) <= UNITS
+
+
 @dataclass(frozen=True)
 class Table:
-    """A table of ready-made strings. `key` names its export; columns after the first are set as numbers."""
+    """A table of ready-made strings; `key` names its export."""
 
     key: str
     caption: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    numeric: bool = True
     links: tuple[str, ...] = ()  # one address a row, for its first cell; empty: none
+
+    @property
+    def numeric(self) -> tuple[bool, ...]:
+        """Which columns hold numbers (and so are set to the right); the first is the rows' name."""
+        return tuple(
+            index > 0 and all(is_number(row[index]) for row in self.rows)
+            for index in range(len(self.columns))
+        )
 
 
 @dataclass(frozen=True)
@@ -77,7 +91,8 @@ class Chart:
     """A figure: panels one above another over a common x axis.
 
     key names the exported file; alt says in words what a reader who cannot see it would miss;
-    to_scale draws both axes in the same unit length (a map), and then it is not interactive.
+    to_scale draws both axes in the same unit length (a map), and then it is not interactive;
+    discrete: x counts things (windows, passes).
     """
 
     key: str
@@ -88,6 +103,7 @@ class Chart:
     panels: tuple[Panel, ...]
     log_x: bool = False
     to_scale: bool = False
+    discrete: bool = False
 
 
 @dataclass(frozen=True)

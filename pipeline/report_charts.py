@@ -55,6 +55,7 @@ def chart_json(thinned: style.Thinned) -> str:
         "x_short": chart.x_label.split(",")[0].split(" ")[0],
         "x_digits": _digits(np.concatenate([c.x for p in chart.panels for c in p.curves])),
         "log_x": chart.log_x,
+        "discrete": chart.discrete,
         "panels": [_panel(panel) for panel in chart.panels],
     }
     text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))

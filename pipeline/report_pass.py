@@ -54,7 +54,7 @@ def _tested(view: PassView) -> str:
     place = ", ".join(
         part
         for part in (
-            f"field {run.field}" if run.field else "",
+            f"Field {run.field}" if run.field else "",
             f"direction {run.direction}" if run.direction else "",
             f"repeat {run.repeat}",
             f"variant {run.variant}" if run.variant else "",
@@ -65,7 +65,7 @@ def _tested(view: PassView) -> str:
     what = "tractor and seeder" if machine.seeder else "tractor alone"
     length = f", l₅ = {machine.seeder.hitch_to_com:g} m" if machine.seeder else ""
     operating = view.manifest.operating
-    pressure = f"P_w = {operating.tyre_pressure_mpa:g} MPa"
+    pressure = f"tyres at {operating.tyre_pressure_mpa:g} MPa"
     return f"{place}. {what.capitalize()} at {operating.speed:g} m/s{length}, {pressure}."
 
 

@@ -22,7 +22,7 @@ MARGIN = 18.0  # mm
 PAGE_WIDTH, PAGE_HEIGHT = 210.0, 297.0
 TEXT_WIDTH = PAGE_WIDTH - 2.0 * MARGIN
 FOOT = 16.0  # mm at the bottom
-TABLE_SIZE, LINE = 7.5, 3.9  # pt, mm
+TABLE_SIZES, LINE = (7.5, 7.0, 6.5, 6.0), 3.9  # pt, mm
 POINT = 25.4 / 72.0  # mm
 INK, MUTED, RULE, CARD = (29, 35, 41), (89, 99, 110), (200, 206, 213), (244, 245, 247)
 VERDICT_COLOURS = {"adequate": (11, 107, 58), "not adequate": (163, 32, 13), "inconclusive": (122, 77, 0)}
@@ -112,7 +112,9 @@ def _write(
 ) -> None:
     sheet.set_font("Sans", emphasis, size)
     sheet.set_text_color(*colour)
-    sheet.multi_cell(TEXT_WIDTH, 0.5 * size, text, new_x=XPos.LMARGIN, new_y=YPos.NEXT, align="L")
+    sheet.multi_cell(
+        PAGE_WIDTH - MARGIN - sheet.l_margin, 0.5 * size, text, new_x=XPos.LMARGIN, new_y=YPos.NEXT, align="L"
+    )
 
 
 def _first_page(sheet: _Sheet, head: Head) -> None:
@@ -128,13 +130,24 @@ def _first_page(sheet: _Sheet, head: Head) -> None:
     sheet.ln(1.0)
     _write(sheet, head.meaning, 9.0)
     for reason in head.reasons:
-        _write(sheet, f"•  {reason}", 9.0)
+        _bullet(sheet, reason)
     sheet.set_left_margin(MARGIN)
     sheet.set_fill_color(*colour)
     sheet.rect(MARGIN, top, 1.4, sheet.get_y() - top, style="F")
     sheet.ln(4.0)
     _numbers(sheet, head)
     _write(sheet, head.scope, 8.5, colour=MUTED)
+
+
+def _bullet(sheet: _Sheet, text: str) -> None:
+    """A listed sentence, its later lines under its first."""
+    left = sheet.l_margin
+    sheet.set_font("Sans", "", 9.0)
+    sheet.cell(4.0, 4.5, "•")
+    sheet.set_left_margin(left + 4.0)
+    sheet.multi_cell(TEXT_WIDTH - 8.0, 4.5, text, new_x=XPos.LMARGIN, new_y=YPos.NEXT, align="L")
+    sheet.set_left_margin(left)
+    sheet.set_x(left)
 
 
 def _numbers(sheet: _Sheet, head: Head) -> None:
@@ -228,32 +241,34 @@ def _place(sheet: _Sheet, picture: Picture) -> None:
 
 def _table(sheet: _Sheet, table: Table) -> None:
     """A table with a rule under every row; its heading is repeated on each page that it reaches."""
-    widths = _widths(sheet, table)
-    _room(sheet, 24.0)
+    size, widths = _fitted(sheet, table)
+    _room(sheet, 34.0)
     _write(sheet, table.caption, 9.0, "B")
     sheet.ln(0.8)
     sheet.set_text_color(*INK)
     sheet.set_draw_color(*RULE)
-    _table_row(sheet, table, table.columns, widths, "B")
+    _table_row(sheet, table, table.columns, widths, size, "B")
     for row in table.rows:
+        sheet.set_font("Sans", "", size)
         if sheet.get_y() + _row_height(sheet, row, widths) > PAGE_HEIGHT - FOOT - 4.0:
             sheet.add_page()
-            _table_row(sheet, table, table.columns, widths, "B")
-        _table_row(sheet, table, row, widths, "")
+            _table_row(sheet, table, table.columns, widths, size, "B")
+        _table_row(sheet, table, row, widths, size, "")
     sheet.ln(4.0)
 
 
 def _table_row(
-    sheet: _Sheet, table: Table, row: Sequence[str], widths: Sequence[float], emphasis: str
+    sheet: _Sheet, table: Table, row: Sequence[str], widths: Sequence[float], size: float, emphasis: str
 ) -> None:
-    sheet.set_font("Sans", emphasis, TABLE_SIZE)
+    sheet.set_font("Sans", emphasis, size)
     top, height = sheet.get_y(), _row_height(sheet, row, widths)
     left = MARGIN
     for index, (text, width) in enumerate(zip(row, widths, strict=True)):
-        align = "R" if table.numeric and index > 0 else "L"
+        align = "R" if table.numeric[index] else "L"
         for number, line in enumerate(_lines(sheet, text, width)):
-            sheet.set_xy(left, top + 0.5 + number * LINE)
-            sheet.cell(width, LINE, line, align=align)
+            indent = 2.0 if align == "L" and index > 0 else 0.0
+            sheet.set_xy(left + indent, top + 0.5 + number * LINE)
+            sheet.cell(width - indent, LINE, line, align=align)
         left += width
     sheet.line(MARGIN, top + height, MARGIN + sum(widths), top + height)
     sheet.set_xy(MARGIN, top + height)
@@ -265,24 +280,25 @@ def _row_height(sheet: _Sheet, row: Sequence[str], widths: Sequence[float]) -> f
 
 def _lines(sheet: _Sheet, text: str, width: float) -> list[str]:
     """The text broken to a cell's width; the common case, one line, costs one measurement."""
-    if not text or _text_width(sheet, text) <= width - 2.0:
+    if not text or _text_width(sheet, text) <= width - 3.0:
         return [text]
     broken = sheet.multi_cell(width, LINE, text, dry_run=True, output=MethodReturnValue.LINES)
     return [str(line) for line in broken]
 
 
-def _widths(sheet: _Sheet, table: Table) -> list[float]:
-    """Column widths in mm from the longest text in each; the widest give way where they do not fit."""
-    sheet.set_font("Sans", "B", TABLE_SIZE)
-    wanted = [
-        max(_text_width(sheet, row[column]) for row in (table.columns, *table.rows)) + 4.0
-        for column in range(len(table.columns))
-    ]
-    spare = TEXT_WIDTH - sum(wanted)
-    if spare >= 0.0:
-        return [width + min(spare / len(wanted), 6.0) for width in wanted]
+def _fitted(sheet: _Sheet, table: Table) -> tuple[float, list[float]]:
+    """Size of type in pt and column widths in mm with which the table fits; smaller before lines break."""
+    for size in TABLE_SIZES:
+        sheet.set_font("Sans", "B", size)
+        wanted = [
+            max(_text_width(sheet, row[column]) for row in (table.columns, *table.rows)) + 4.0
+            for column in range(len(table.columns))
+        ]
+        spare = TEXT_WIDTH - sum(wanted)
+        if spare >= 0.0:
+            return size, [width + min(spare / len(wanted), 6.0) for width in wanted]
     fair = _fair_share(wanted, TEXT_WIDTH)
-    return [min(width, fair) for width in wanted]
+    return size, [min(width, fair) for width in wanted]
 
 
 def _fair_share(wanted: Sequence[float], room: float) -> float:

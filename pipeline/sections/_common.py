@@ -22,7 +22,7 @@ def number(value: Any, digits: int = 2, unit: str = "", absent: str = "–") -> 
     if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
         return absent
     text = f"{value:.{digits}f}".replace("-", "−")
-    return text + (unit if unit == "°" else f" {unit}" if unit else "")
+    return text + (unit if unit == "°" else f"\u00a0{unit}" if unit else "")
 
 
 def percent(value: Any, digits: int = 1) -> str:

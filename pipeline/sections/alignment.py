@@ -77,7 +77,8 @@ def _moved(windows: Sequence[Mapping[str, Any]]) -> Chart:
         Panel("χ²", (Curve("χ² as asked for", "residual", index, chi2, style="bars"),), levels=bound)
     )
     return Chart(
-        key="windows", title="What moved in each window", x_label="window", panels=tuple(panels),
+        key="windows", title="What moved in each window", discrete=True,
+        x_label="window", panels=tuple(panels),
         caption=(
             "Lateral offset, heading and steering offset of each window, and the χ² that they "
             "would have had with the prior as stated; where it exceeds the bound the prior was made "

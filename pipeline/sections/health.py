@@ -112,7 +112,7 @@ def _warnings(warnings: Sequence[Entry]) -> tuple[Block, ...]:
         (_place(warning), str(warning.get("what") or "–"), str(warning.get("effect") or "–"))
         for warning in warnings[:MOST_WARNINGS]
     )
-    table = Table("warnings", "Warnings, and what was done", ("where", "what", "effect"), rows, numeric=False)
+    table = Table("warnings", "Warnings, and what was done", ("where", "what", "effect"), rows)
     left = len(warnings) - len(rows)
     return (table,) if left <= 0 else (table, Text(f"{left} more warnings are in metrics.json."))
 

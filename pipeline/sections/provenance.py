@@ -16,7 +16,7 @@ def build(view: PassView) -> Section:
     rows = tuple(_lines(view.metrics.get("provenance") or {}))
     table: Block = Missing("The result holds no provenance.")
     if rows:
-        table = Table("provenance", "Provenance", ("what", "value"), rows, numeric=False)
+        table = Table("provenance", "Provenance", ("what", "value"), rows)
     return Section("provenance", "Provenance", (Text(TEXT), table))
 
 

@@ -24,7 +24,7 @@
   function xAxis(chart, index) {
     const last = index === chart.panels.length - 1;
     const found = axis(last ? chart.x_label : null, last ? 46 : 26);
-    if (bars(chart.panels[index])) found.incrs = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
+    if (chart.discrete) found.incrs = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
     return found;
   }
 
@@ -102,7 +102,7 @@
       this.plots.push(plot);
     });
     const xs = this.plots.map((plot) => plot.data[0]);
-    const pad = chart.panels.some(bars) ? 0.6 : 0;
+    const pad = chart.discrete ? 0.6 : 0;
     this.full = [Math.min(...xs.map((x) => x[0])) - pad, Math.max(...xs.map((x) => x[x.length - 1])) + pad];
     figure.querySelectorAll(".tools button").forEach((button) =>
       button.addEventListener("click", () => this.act(button.dataset.act)));
