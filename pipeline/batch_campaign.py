@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ DOCUMENT = "campaign.json"
 TABLE = "campaign.parquet"
 FAILURES = "failures.json"
 REPORT = "report.html"
-REPORTS = (REPORT, "report.pdf")
 
 
 def summarise(
@@ -45,27 +43,15 @@ def summarise(
 def write_campaign(folder: Path, runs: Sequence[str], settings: CampaignSettings) -> Mapping[str, Any]:
     """campaign.json and campaign.parquet of the stored passes of a local OUT; gives the former's content."""
     from .campaign import read_record, summarise_campaign
+    from .remake import remake_campaign
 
     part = folder / f".{TABLE}.part"
     write_rows(part, runs, lambda run: stored_row(folder / PASSES / run))
     os.replace(part, folder / TABLE)
     campaign = summarise_campaign([read_record(folder / PASSES / run) for run in runs], settings)
     write_whole(folder / DOCUMENT, json_text(campaign.document))
-    write_reports(folder)
+    remake_campaign(folder)
     return campaign.document
-
-
-def write_reports(folder: Path) -> None:
-    """The campaign's reports of a local OUT, made in a folder beside and renamed into place."""
-    from .report_campaign import write_campaign_report
-
-    with tempfile.TemporaryDirectory(prefix=".report.", dir=folder) as name:
-        part = Path(name)
-        for needed in (DOCUMENT, FAILURES, PASSES):
-            (part / needed).symlink_to(Path("..") / needed)
-        write_campaign_report(part)
-        for made in REPORTS:
-            os.replace(part / made, folder / made)
 
 
 def stored_row(folder: Path) -> Row:

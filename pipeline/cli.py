@@ -185,6 +185,24 @@ def _leave_unless_adequate(required: bool, verdict: str) -> None:
 
 @app.command()
 @click.argument("out", type=click.Path(path_type=Path))
+@click.option("--open", "show", is_flag=True, help="Open the report in the browser.")
+@click.option("--figures", is_flag=True, help="Also each figure as SVG, PDF and PNG in figures/.")
+@click.option("--csv", is_flag=True, help="Also each table as CSV in tables/.")
+@click.option("--latex", is_flag=True, help="Also each table as LaTeX in tables/.")
+@common
+def report(out: Path, show: bool, figures: bool, csv: bool, latex: bool, as_json: bool) -> None:
+    """Make the reports in OUT again from its stored results."""
+    from .remake import Exports, remake
+
+    kinds = tuple(kind for kind, wanted in (("csv", csv), ("tex", latex)) if wanted)
+    page = remake(out, Exports(figures, kinds), progress)
+    emit({"report": str(page)}, as_json, lambda made: f"report: {made['report']}")
+    if show:
+        click.launch(str(page))
+
+
+@app.command()
+@click.argument("out", type=click.Path(path_type=Path))
 @click.option("--preset", metavar="NAME", help="A ready plan: benign, bad_sensors, outage, headland, ...")
 @click.option("--plan", type=click.Path(path_type=Path), help="The pass's plan, a TOML file.")
 @click.option("--campaign", type=click.Path(path_type=Path), help="A campaign's plan, a TOML file.")
