@@ -26,10 +26,10 @@ from .wheel_unit import (
     Complexes,
     Doubt,
     Unit,
+    bridged,
     by_state,
     integrate,
     per_second,
-    run_lengths,
     running_mean,
     standing,
     walk_of,
@@ -152,14 +152,11 @@ def _slow(unit: Unit, acceleration: Floats) -> Floats:
 
 
 def _phase_walk(unit: Unit, noise: Floats, spin_walk: float) -> Floats:
-    """Variance that the gyro's noise adds to the phase from sample to sample.
-
-    Gaps are bridged by a spin that walks: ∫∫ gives walk·gap³/12.
+    """Variance that the gyro's noise adds to the phase from sample to sample, gaps bridged by a walking
+    spin.
     """
     dt = np.diff(unit.t)
-    usual = float(np.median(dt))
-    gap = np.where((dt > 1.5 * usual) | ~unit.axle_ok[1:], dt, 0.0)
-    return dt * (usual * noise[1:] + BIAS_WANDER) + spin_walk * run_lengths(gap) ** 3 / 12.0
+    return dt * (float(np.median(dt)) * noise[1:] + BIAS_WANDER) + bridged(unit.t, unit.axle_ok, spin_walk)
 
 
 def _phase_error(case: _Case, doubt: Doubt) -> tuple[Floats, Floats, Constants]:

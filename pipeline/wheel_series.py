@@ -24,7 +24,7 @@ FIT_SAMPLES, RUN = 40_000, 500  # samples that a long channel's noise is judged 
 MAD_TO_SD = 1.4826
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _forward(
     columns: Floats, step: Floats, noise: Floats, initial: float, block: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
@@ -54,7 +54,7 @@ def _forward(
     return mean, variance, predicted, products
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _backward(mean: Floats, variance: Floats, predicted: Floats) -> None:
     """Rauch-Tung-Striebel pass in place, for a state that is carried over unchanged."""
     n, m = mean.shape
@@ -168,7 +168,7 @@ def signal(channel: Smoothed, constants: Constants, direct: Floats | None = None
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _doubt(columns: Floats, covariance: Floats) -> Floats:
     """xᵀ·C·x of every row, the first column left out: (N,)."""
     n, m = columns.shape

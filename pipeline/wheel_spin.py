@@ -15,6 +15,7 @@ from .wheel_series import Floats, Walk, block_means, smooth
 from .wheel_unit import Bools, Unit, integrate, per_second, walk_of
 from .wheel_yaw import TILT_X, TILT_Z, YawRate
 
+UNSEEN = 20.0  # samples over which the carrier's swing is one error where its own unit has a gap
 STRAIGHT = 121  # s: over so long the median of a front wheel's angle is taken to be zero
 
 
@@ -23,8 +24,11 @@ def hub_spin(unit: Unit, phase: Phase, yaw: YawRate, steered: bool) -> tuple[Flo
     tilt = yaw.constants.value
     across = unit.across.imag * tilt[TILT_X] + unit.across.real * tilt[TILT_Z]
     rate = phase.gyro + np.where(unit.across_ok, across - np.median(across), 0.0)
-    rate = rate - _carried(unit, rate, _rough_angle(unit, yaw) if steered else 0.0, ~phase.rest)
+    carried = _carried(unit, rate, _rough_angle(unit, yaw) if steered else 0.0, ~phase.rest)
+    rate = rate - carried
     step, noise, _ = walk_of(unit.t, rate, phase.rest, unit.axle_ok)
+    if unit.carrier is not None:
+        noise = noise + np.where(unit.carried, 0.0, UNSEEN * float(np.mean(carried**2)))
     seen = smooth(rate[:, None], Walk(step, np.where(unit.axle_ok, noise, np.inf)))
     spin = seen.columns[:, 0]
     shape = np.column_stack([np.ones_like(spin), spin])
@@ -52,14 +56,19 @@ def _carried(unit: Unit, rate: Floats, angle: Floats | float, moving: Bools) -> 
     50 ms.
 
     A wheel carried by a pitching body turns with it in full when the contact does not slip, in part or not at
-    all in other suspensions, so the share is measured and not assumed; changes are used because bias and
-    speed drop out.
+    all in other suspensions, so the share is measured and not assumed, and with it the part of the other
+    rate that a tilted unit mixes in; changes are used because bias and speed drop out.
     """
     if unit.carrier is None:
         return np.zeros_like(rate)
-    about_axle = unit.swings[:, 1] * np.cos(angle) - unit.swings[:, 0] * np.sin(angle)
+    roll, pitch = unit.swings.T
+    turned = np.column_stack(
+        [pitch * np.cos(angle) - roll * np.sin(angle), roll * np.cos(angle) + pitch * np.sin(angle)]
+    )
     lag = max(per_second(unit.t) // 20, 1)
     both = moving[lag:] & moving[:-lag]
-    swing, seen = (x[lag:][both] - x[:-lag][both] for x in (about_axle, rate))
-    power = float(swing @ swing)
-    return about_axle * (float(swing @ seen) / power if power > 0.0 else 0.0)
+    swing, seen = (x[lag:][both] - x[:-lag][both] for x in (turned, rate))
+    power = swing.T @ swing
+    if not np.linalg.det(power) > 0.0:
+        return np.zeros_like(rate)
+    return np.asarray(turned @ np.linalg.solve(power, swing.T @ seen))

@@ -17,7 +17,7 @@ import numpy as np
 from ..sensors.manifest import Tractor
 from .fusion.motion import SteerInput
 from .wheel_series import Floats, Walk, fit_walk, robust_sd, signal, slow_noise, smooth, solve
-from .wheel_unit import Bools, integrate, per_second
+from .wheel_unit import Bools, bridged, integrate, per_second
 
 LONGEST = 60.0  # s, correlation time of the stationary process that stands for the walk in `SteerInput`
 HORIZON = 10.0  # s, lag at which a doubt of the bias counts as the walk that does the same
@@ -28,6 +28,7 @@ GYRO_BIAS_SD = 0.02  # rad/s, of the body's gyro before anything is known
 GYRO_SCALE_SD = 0.014  # two gyros' scales against each other
 SCALE_SD = 0.01
 SINGLE_SCALE_SD = 0.03  # with one front wheel: how far the linkage departs from Ackermann's
+APART, APART_RATE = 0.1, 1.0e-3  # how far the wheels turn apart: share of the turn, and rad/s
 UNSEEN = 0.05  # rad²/s, walk of the steering angle where no wheel is seen
 DRIFT_ITERATIONS = 3
 TURNING = (
@@ -103,7 +104,7 @@ def steering_angle(
         return None
     rear = [_increments(w.t, w.turned, w.variance, grid_t) for w in wheels if not w.wheel.startswith("front")]
     body, calibration = _body(wheels, body_t, body_yaw_rate, grid_t, rear)
-    ahead = _mean([_increments(w.t, w.turned, w.variance, grid_t) for w in front])
+    ahead = _mean([_increments(w.t, w.turned, w.variance, grid_t) for w in front], np.diff(grid_t))
     doubt = calibration["body_gyro_bias"][1] ** 2 * HORIZON * np.diff(grid_t) if not rear else 0.0
     variance = ahead.variance + body.variance + doubt
     raw = np.append(0.0, np.cumsum(ahead.value - body.value))
@@ -144,10 +145,17 @@ def _increments(t: Floats, turned: Floats, variance: Floats, grid_t: Floats) -> 
     return _Increments(np.diff(np.interp(grid_t, t, turned)), np.maximum(grown, 1.0e-16))
 
 
-def _mean(parts: Sequence[_Increments]) -> _Increments:
-    """Plain mean: the steering angle is the mean of both wheels' angles."""
+def _mean(parts: Sequence[_Increments], dt: Floats) -> _Increments:
+    """Plain mean, since the steering angle is the mean of both wheels' angles; where one wheel is known far
+    worse, the other's alone, with the doubt that they turn by different angles in a curve.
+    """
     value, variance = (np.array([getattr(p, name) for p in parts]) for name in ("value", "variance"))
-    return _Increments(value.mean(axis=0), variance.mean(axis=0) / len(parts))
+    best = np.argmin(variance, axis=0)[None]
+    alone = np.take_along_axis(value, best, 0)[0]
+    alone_variance = np.take_along_axis(variance, best, 0)[0] + (APART * alone) ** 2 + (APART_RATE * dt) ** 2
+    plain = variance.mean(axis=0) / len(parts)
+    worse = plain > alone_variance
+    return _Increments(np.where(worse, alone, value.mean(axis=0)), np.where(worse, alone_variance, plain))
 
 
 def _body(
@@ -155,7 +163,8 @@ def _body(
 ) -> tuple[_Increments, dict[str, tuple[float, float]]]:
     """The body's turning by its gyro and the rear wheels, and what the gyro's errors were found to be."""
     noise, walk = fit_walk(t, rate)
-    grown = np.append(0.0, np.cumsum(np.diff(t) * noise / per_second(t) + _gaps(t) ** 3 * walk / 12.0))
+    seen = np.ones(t.size, dtype=bool)
+    grown = np.append(0.0, np.cumsum(np.diff(t) * noise / per_second(t) + bridged(t, seen, walk)))
     gyro = _increments(t, integrate(t, rate), grown, grid_t)
     rest = _standing(wheels, t)
     value, covariance = _gyro_errors(gyro, grid_t, rear, rate[rest], noise)
@@ -166,11 +175,6 @@ def _body(
         "body_gyro_scale": (float(value[1]), float(sd[1])),
     }
     return _weighted([_Increments(clean, gyro.variance), *rear], grid_t), found
-
-
-def _gaps(t: Floats) -> Floats:
-    dt = np.diff(t)
-    return np.where(dt > 1.5 * np.median(dt), dt, 0.0)
 
 
 def _gyro_errors(

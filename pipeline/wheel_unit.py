@@ -45,6 +45,7 @@ class Unit:
     axle_ok, across_ok : (N,) samples of the gyros to be trusted
     radius : m, about the wheel's rolling radius; place : P = ρ_z − i·ρ_x, m, where the unit sits
     carrier : (N, 3) rad/s, angular velocity of the body that carries the wheel, at the same instants, or None
+    carrier_ok : (N,) where the carrier's own unit had samples
     """
 
     t: Floats
@@ -57,13 +58,24 @@ class Unit:
     radius: float
     place: complex
     carrier: Floats | None = None
+    carrier_ok: Bools | None = None
 
     @property
     def swings(self) -> Floats:
-        """The carrier's roll and pitch rate less their medians, (N, 2); (N, 0) without a carrier."""
+        """The carrier's roll and pitch rate less their medians, 0 where unseen, (N, 2); (N, 0) without a
+        carrier.
+        """
         if self.carrier is None:
             return np.empty((self.t.size, 0))
-        return np.asarray(self.carrier[:, :2] - np.median(self.carrier[:, :2], axis=0))
+        rates = self.carrier[:, :2] - np.median(self.carrier[:, :2], axis=0)
+        return np.where(self.carried[:, None], rates, 0.0)
+
+    @property
+    def carried(self) -> Bools:
+        """Where the carrier's rates are known."""
+        if self.carrier is None or self.carrier_ok is None:
+            return np.full(self.t.size, self.carrier is not None)
+        return self.carrier_ok
 
 
 def per_second(t: Floats) -> int:
@@ -126,7 +138,17 @@ def walk_of(t: Floats, y: Floats, rest: Bools, usable: Bools) -> tuple[Floats, F
     return np.diff(t) * np.maximum(walk[1:], walk[:-1]), noise, float(np.max(walk))
 
 
-def run_lengths(gap: Floats) -> Floats:
+def bridged(t: Floats, usable: Bools, walk: float) -> Floats:
+    """Variance of a walking rate's integral over each step (N-1,) where samples lack: ∫∫ gives walk·gap³/12.
+
+    walk : units²/s, of the rate; it is known at both ends of the gap
+    """
+    dt = np.diff(t)
+    gap = np.where((dt > 1.5 * np.median(dt)) | ~usable[1:], dt, 0.0)
+    return walk * _run_lengths(gap) ** 3 / 12.0
+
+
+def _run_lengths(gap: Floats) -> Floats:
     """Length of each run of non-zero gaps, written at its last member, 0 elsewhere."""
     total = np.cumsum(gap)
     ends = (gap > 0.0) & np.append(gap[1:] == 0.0, True)

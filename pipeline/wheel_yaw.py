@@ -21,7 +21,6 @@ from .wheel_phase import Phase
 from .wheel_series import (
     Constants,
     Floats,
-    Smoothed,
     Walk,
     block_means,
     robust_sd,
@@ -35,6 +34,7 @@ from .wheel_unit import (
     Bools,
     Doubt,
     Unit,
+    bridged,
     by_state,
     integrate,
     per_second,
@@ -81,9 +81,12 @@ def estimate_yaw_rate(unit: Unit, phase: Phase, doubt: Doubt) -> YawRate:
     columns = np.column_stack([1j * turn, turn, 1j * turn * phase.spin, turn * phase.spin])
     swings = unit.swings
     blank = np.zeros_like(swings)
-    yaw, noise = _smoothed(unit, back.real, clean.real, np.hstack([columns.real, swings, blank]), phase.rest)
-    clean_roll = clean.imag - _fit(swings, clean.imag)
-    roll, _ = _smoothed(unit, back.imag, clean_roll, np.hstack([columns.imag, blank, swings]), phase.rest)
+    level, noise, walk = _model(unit, clean.real, phase.rest, unit.across_ok)
+    size = CLUSTER * per_second(unit.t)
+    yaw = smooth(np.column_stack([back.real, columns.real, swings, blank]), level, size)
+    seen = unit.across_ok & unit.carried if unit.carrier is not None else unit.across_ok
+    rolling = _model(unit, clean.imag - _fit(swings, clean.imag), phase.rest, seen)[0]
+    roll = smooth(np.column_stack([back.imag, columns.imag, blank, swings]), rolling, size)
     shares = swings.shape[1]
     prior = np.repeat([doubt.gyro_bias, doubt.tilt, doubt.tilt, SHARE], [2, 2, shares, shares])
     at_rest = _rest_products(unit, phase.rest, prior.size)
@@ -91,7 +94,7 @@ def estimate_yaw_rate(unit: Unit, phase: Phase, doubt: Doubt) -> YawRate:
     rate, variance = signal(yaw, constants)
     raw = back.real - np.hstack([columns.real, swings]) @ constants.value[: 4 + shares]
     dt = np.diff(unit.t)
-    grown = dt * float(np.median(dt)) * noise[1:] + _bridged(unit, variance)
+    grown = dt * float(np.median(dt)) * noise[1:] + bridged(unit.t, unit.across_ok, walk)
     return YawRate(
         rate=rate,
         rate_sd=np.sqrt(variance),
@@ -102,11 +105,10 @@ def estimate_yaw_rate(unit: Unit, phase: Phase, doubt: Doubt) -> YawRate:
     )
 
 
-def _smoothed(unit: Unit, y: Floats, clean: Floats, columns: Floats, rest: Bools) -> tuple[Smoothed, Floats]:
-    """One quadrature smoothed with the noise that its bias-free version shows, and that noise."""
-    step, noise, _ = walk_of(unit.t, clean, rest, unit.across_ok)
-    walk = Walk(step, np.where(unit.across_ok, noise, np.inf), 1.0)
-    return smooth(np.column_stack([y, columns]), walk, CLUSTER * per_second(unit.t)), noise
+def _model(unit: Unit, clean: Floats, rest: Bools, seen: Bools) -> tuple[Walk, Floats, float]:
+    """Stochastic model of one quadrature from its bias-free version; its noise by sample, and its walk."""
+    step, noise, walk = walk_of(unit.t, clean, rest, seen)
+    return Walk(step, np.where(seen, noise, np.inf), 1.0), noise, walk
 
 
 def _pitch(unit: Unit) -> Floats:
@@ -117,15 +119,6 @@ def _pitch(unit: Unit) -> Floats:
         return np.zeros_like(unit.t)
     angle = integrate(unit.t, unit.swings[:, 1])
     return np.asarray(angle - running_mean(angle, SWING * per_second(unit.t) // 2))
-
-
-def _bridged(unit: Unit, variance: Floats) -> Floats:
-    """Variance of the angle turned where samples lack: the smoothed rate's doubt, wholly correlated over a
-    step.
-    """
-    dt = np.diff(unit.t)
-    lacking = (dt > 1.5 * np.median(dt)) | ~unit.across_ok[1:]
-    return np.where(lacking, dt**2 * np.maximum(variance[1:], variance[:-1]), 0.0)
 
 
 def _fit(columns: Floats, y: Floats) -> Floats:

@@ -39,6 +39,7 @@ __all__ = [
 
 LEAST_SAMPLES = 200  # two seconds: less says nothing of phase, bias and noise
 FULL_SCALES = np.radians([250.0, 500.0, 1000.0, 2000.0, 4000.0])  # rad/s, of common gyros
+GAP = 0.06  # s, of the body's unit, that may be bridged by a line
 SPIKE = 10.0  # robust standard deviations from the median of five
 COVERAGE = 0.95  # share of the grid a steering sensor must cover to be chosen
 
@@ -55,6 +56,14 @@ class Carrier:
     def at(self, t: Floats) -> Floats:
         """Interpolated to other instants, (N, 3)."""
         return np.column_stack([np.interp(t, self.t, axis) for axis in self.angular_velocity.T])
+
+    def covers(self, t: Floats) -> Bools:
+        """Which instants lie between two neighbouring samples, (N,): not in a gap of more than `GAP`
+        seconds.
+        """
+        after = np.clip(np.searchsorted(self.t, t), 1, self.t.size - 1)
+        inside = (t >= self.t[0]) & (t <= self.t[-1])
+        return np.asarray(inside & (self.t[after] - self.t[after - 1] < GAP))
 
 
 @dataclass(frozen=True)
@@ -154,6 +163,7 @@ def _unit(stream: WheelStream, sensor: Wds, radius: float, carrier: Carrier | No
         radius=radius,
         place=complex(sensor.offset[2], -sensor.offset[0]),
         carrier=None if carrier is None else carrier.at(stream.t),
+        carrier_ok=None if carrier is None else carrier.covers(stream.t),
     )
 
 
