@@ -76,7 +76,7 @@ def read_rosbags(path: Path, count: int) -> None:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    folder = path.with_suffix(".bag")
+    folder = path.parent / "rosbag2"
     make_rosbag2(folder, path, count)
 
     def read() -> None:
@@ -187,6 +187,7 @@ def measure(work: Callable[[Path, int], None], path: Path, count: int) -> dict[s
     here, there = context.Pipe()
     process = context.Process(target=_job, args=(work, path, count, there))
     process.start()
+    there.close()  # so that a failure over there ends the waiting here
     process.join()
     result: dict[str, float] = here.recv()
     return result

@@ -73,7 +73,8 @@ class Layout:
 
     def fits(self, payloads: Bytes) -> NDArray[np.bool_]:
         """Which rows of an (n, length) matrix have this encapsulation and all these length prefixes."""
-        good: NDArray[np.bool_] = (payloads[:, 0] == 0) & (payloads[:, 1] == (1 if self.order == "<" else 0))
+        begins = 1 if self.order == "<" else 0
+        good: NDArray[np.bool_] = _view(payloads, 0, ">u2", 1)[:, 0] == begins
         for at, value in zip(self.prefix_at, self.prefix, strict=True):
             good &= _view(payloads, int(at), self.order + "u4", 1)[:, 0] == value
         return good
@@ -245,19 +246,16 @@ def layout_of(kind: MessageType, payload: bytes) -> Layout:
     )
 
 
-def decode(kind: MessageType, payloads: Payloads) -> Iterator[Group]:
+def decode(kind: MessageType, payloads: Payloads, likely: Layout | None = None) -> Iterator[Group]:
     """Payloads in groups of one layout, in the order of each group's first message.
 
     A recording whose strings keep their lengths is one group, read without a loop; in the worst case
-    every message is its own group. Raises CdrError naming the message that cannot be read.
+    every message is its own group. likely is a layout to try first: that of the chunk before.
+    Raises CdrError naming the message that cannot be read.
     """
     left = np.arange(len(payloads), dtype=np.int64)
     while left.size:
-        first = int(left[0])
-        try:
-            layout = layout_of(kind, payloads.at(first))
-        except CdrError as error:
-            raise CdrError(f"message {first}: {error}") from None
+        layout = _layout(kind, payloads, int(left[0]), likely)
         alike = payloads.length[left] == layout.length
         rows = left[alike] if not alike.all() else left
         matrix = payloads.matrix(rows)
@@ -268,6 +266,18 @@ def decode(kind: MessageType, payloads: Payloads) -> Iterator[Group]:
             yield Group(rows[good], layout, matrix[good])
         rest = rows[~good]
         left = rest if alike.all() else np.sort(np.concatenate([left[~alike], rest]))
+
+
+def _layout(kind: MessageType, payloads: Payloads, row: int, likely: Layout | None) -> Layout:
+    """The layout of one message: the likely one where it fits."""
+    if likely is not None and likely.kind is kind and payloads.length[row] == likely.length:
+        only = np.array([row])
+        if likely.fits(payloads.matrix(only))[0]:
+            return likely
+    try:
+        return layout_of(kind, payloads.at(row))
+    except CdrError as error:
+        raise CdrError(f"message {row}: {error}") from None
 
 
 # -- writing ---------------------------------------------------------------------------------------------

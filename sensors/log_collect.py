@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .cdr import CdrError, Group, MessageType, decode, message_type
+from .cdr import CdrError, Group, Layout, MessageType, decode, message_type
 from .mcap_messages import Batch, read_messages
 from .mcap_records import FRAME, MESSAGE_HEAD, McapError
 from .mcap_scan import Fault, Recording
@@ -47,6 +47,7 @@ class Found:
     room: int = FIRST_ROWS
     size: int = 0
     columns: Values = field(default_factory=dict)
+    layout: Layout | None = None  # of the last messages: likely that of the next
 
     def __len__(self) -> int:
         return self.size
@@ -193,7 +194,8 @@ def _add(found: Found, topic: Topic, batch: Batch) -> None:
     kind = _kind(topic, batch)
     log_time = batch.log_time.astype(np.int64)
     try:
-        for group in decode(kind, batch.payloads):
+        for group in decode(kind, batch.payloads, found.layout):
+            found.layout = group.layout
             log = log_time[group.rows]
             stamp = group.stamp_ns("header.stamp")
             # many publishers leave the stamp at zero

@@ -39,7 +39,7 @@ MAX_TOTAL = 64 * 2**30  # bytes, uncompressed, of all chunks
 MAX_RATIO = 2000  # and at most this many times the file's size: recordings shrink by 2 to 50
 AHEAD = 8 * 2**20  # bytes of chunks that are decompressed ahead of their use
 WORKERS = min(4, os.cpu_count() or 1)
-ZSTD_MAGIC = np.frombuffer(b"\x28\xb5\x2f\xfd", np.uint8)
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 @dataclass(frozen=True)
@@ -210,8 +210,9 @@ def _as_far_as_it_goes(engine: object, packed: memoryview, size: int, error: typ
 
 
 def _batches(block: Block, registry: Registry, wanted: Callable[[Channel], bool]) -> Iterator[Batch | Fault]:
-    for record in records_of(block.data, block.definitions, ()):
-        registry.add(record)
+    if block.definitions.opcode.size:
+        for record in records_of(block.data, block.definitions, ()):
+            registry.add(record)
     ids = block.heads["channel_id"]
     for key, own in _by_channel(ids):
         channel = registry.channels.get(key)
@@ -237,35 +238,20 @@ def unpacked(payloads: Payloads) -> Payloads:
     """Messages that rosbag2 compressed one by one (`compression_mode: message`), decompressed.
 
     Only metadata.yaml tells that a recording is; but no message of ROS begins as a zstd frame does, so
-    the bytes themselves are asked.
+    the first one's bytes are asked: rosbag2 compresses all of a recording or nothing.
 
     Raises McapError for a frame that is damaged, and when they claim more than MAX_CHUNK bytes in all.
     """
-    begins = _packed(payloads)
-    if not begins.any():
+    if len(payloads) == 0 or not payloads.at(0).startswith(ZSTD_MAGIC):
         return payloads
     engine, size, parts = zstandard.ZstdDecompressor(), 0, []
-    for row, packed in enumerate(begins.tolist()):
-        part = payloads.at(row)
-        if packed:
-            part = _frame(engine, part, row)
-        size += len(part)
+    for row in range(len(payloads)):
+        parts.append(_frame(engine, payloads.at(row), row))
+        size += len(parts[-1])
         if size > MAX_CHUNK:
-            raise McapError(
-                f"messages compressed one by one claim more than {MAX_CHUNK} bytes a chunk; refused"
-            )
-        parts.append(part)
+            raise McapError(f"messages compressed one by one claim more than {MAX_CHUNK} bytes; refused")
     length = np.array([len(part) for part in parts], np.int64)
     return Payloads(np.frombuffer(b"".join(parts), np.uint8), np.cumsum(length) - length, length)
-
-
-def _packed(payloads: Payloads) -> NDArray[np.bool_]:
-    """Which messages begin as a zstd frame."""
-    begins = payloads.length >= ZSTD_MAGIC.size
-    for i, byte in enumerate(ZSTD_MAGIC):
-        rows = np.flatnonzero(begins)
-        begins[rows] = payloads.data[payloads.start[rows] + i] == byte
-    return begins
 
 
 def _frame(engine: zstandard.ZstdDecompressor, part: bytes, row: int) -> bytes:
