@@ -26,6 +26,7 @@ GRAVITY = 9.80665  # m/s², standard gravity
 
 MAX_BYTES = 2**20  # of a run.toml
 MAX_SENSORS = 256
+MOST_DOTS = 64  # in one key
 
 
 def _a_number(value: Any) -> Any:
@@ -347,6 +348,7 @@ def parse(text: str, where: str = "run.toml") -> Manifest:
 
     Raises ManifestError, one line: what, where, how to mend.
     """
+    _bounded(text, where)
     try:
         return Manifest.model_validate(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
@@ -355,6 +357,13 @@ def parse(text: str, where: str = "run.toml") -> Manifest:
         raise ManifestError(one_line(f"{where}{told(error, text, _TABLES)}")) from None
     except RecursionError:
         raise ManifestError(f"{where}: tables nested too deeply") from None
+
+
+def _bounded(text: str, where: str) -> None:
+    """Refuse keys of very many parts, on which the TOML parser's time grows with the square."""
+    for number, line in enumerate(text.split("\n"), start=1):
+        if any(part.count(".") > MOST_DOTS for part in re.split(r"[^\w\"'.\- \t]+", line)):
+            raise ManifestError(f"{where}, line {number}: a key with more than {MOST_DOTS} dots")
 
 
 def read(path: Path) -> tuple[Manifest, str]:
