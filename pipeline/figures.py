@@ -27,6 +27,7 @@ FRAME_MM = 17.0  # room for the x label and ticks
 LEGEND_MM = 6.0
 MM = 1.0 / 25.4
 
+DECADES = 1e-6  # of the greatest value: a logarithmic axis shows no less
 DASHES: dict[str, Any] = {"dash": (0, (4, 1.6)), "dots": (0, (1, 1.4))}
 RC: dict[str, Any] = {
     "font.family": ["DejaVu Sans"], "font.size": 8.0, "axes.labelsize": 8.0, "axes.linewidth": 0.6,
@@ -89,6 +90,8 @@ def _draw_panel(axes: Axes, chart: Chart, panel: Panel) -> None:
         axes.set_xscale("log")
     if panel.log_y:
         axes.set_yscale("log")
+        low, high = axes.get_ylim()
+        axes.set_ylim(max(low, DECADES * high), high)
     if chart.to_scale:
         axes.set_aspect("equal", adjustable="datalim")
     if chart.discrete:

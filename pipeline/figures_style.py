@@ -27,8 +27,8 @@ INK = "#1d2329"
 MUTED = "#59636e"
 GRID = "#dfe3e8"
 
-PAGE_POINTS = 800  # instants that an interactive chart holds
-STILL_POINTS = 500  # instants that a still picture draws
+PAGE_POINTS = 700  # instants that an interactive chart holds
+STILL_POINTS = 360  # instants that a still picture draws
 
 
 @dataclass(frozen=True)

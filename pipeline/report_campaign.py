@@ -40,7 +40,7 @@ SCOPE = (
 def write_campaign_report(folder: Path) -> None:
     """Write report.html and report.pdf of a batch's OUT from its campaign.json and its stored passes."""
     view = read_campaign(folder)
-    write_pages(head_of(view), parts_of(view), folder, _date(view))
+    write_pages(head_of(view), parts_of(view), folder, date_of(view))
 
 
 def read_campaign(folder: Path) -> CampaignView:
@@ -54,7 +54,7 @@ def read_campaign(folder: Path) -> CampaignView:
     return CampaignView(document, records, tuple(failed))
 
 
-def _date(view: CampaignView) -> dt.date:
+def date_of(view: CampaignView) -> dt.date:
     """The last pass's day: the same campaign gives the same bytes."""
     return max((record.manifest.run.date for record in view.records.values()), default=dt.date(1970, 1, 1))
 

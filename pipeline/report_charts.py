@@ -52,7 +52,7 @@ def chart_json(thinned: style.Thinned) -> str:
     value = {
         "key": chart.key,
         "x_label": chart.x_label,
-        "x_short": chart.x_label.split(",")[0].split(" ")[0],
+        "x_short": chart.x_label.split(",")[0],
         "x_digits": _digits(np.concatenate([c.x for p in chart.panels for c in p.curves])),
         "log_x": chart.log_x,
         "discrete": chart.discrete,
@@ -65,6 +65,7 @@ def chart_json(thinned: style.Thinned) -> str:
 def _panel(panel: Panel) -> dict[str, Any]:
     columns = [column for curve in panel.curves for column in _columns(curve)]
     x = np.unique(np.concatenate([column.curve.x for column in columns]))
+    rounded = _significant if panel.log_y else _rounded
     digits = _digits(np.concatenate([column.values for column in columns]))
     return {
         "y_label": panel.y_label,
@@ -77,6 +78,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
                 "style": c.curve.style,
                 "hidden": c.hidden,
                 "digits": digits,
+                "log": panel.log_y,
             }
             for c in columns
         ],
@@ -85,7 +87,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
             for i in range(len(columns) - 1)
             if columns[i].hidden and columns[i + 1].hidden and columns[i].curve is columns[i + 1].curve
         ],
-        "data": [_rounded(x), *(_rounded(_on(x, column)) for column in columns)],
+        "data": [_rounded(x), *(rounded(_on(x, column)) for column in columns)],
     }
 
 
@@ -115,6 +117,11 @@ def _digits(values: Floats) -> int:
     finite = np.abs(values[np.isfinite(values)])
     largest = float(finite.max()) if finite.size else 0.0
     return 2 if largest == 0.0 else int(np.clip(3 - math.floor(math.log10(largest)), 0, 9))
+
+
+def _significant(values: Floats) -> list[float | None]:
+    """Values to three significant digits each, for logarithmic axes; None where not finite."""
+    return [float(f"{v:.3g}") if math.isfinite(v) else None for v in values.tolist()]
 
 
 def _rounded(values: Floats) -> list[float | None]:

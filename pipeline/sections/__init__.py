@@ -23,6 +23,7 @@ from . import (
     methods,
     provenance,
     residuals,
+    spectra,
     trajectories,
     yaw,
 )
@@ -42,6 +43,7 @@ SECTIONS: tuple[SectionModule, ...] = (
     residuals,
     discrepancies,
     alignment,
+    spectra,
     companions,
     inputs,
     ground_map,

@@ -9,6 +9,15 @@
     return value == null ? "–" : value.toFixed(digits);
   }
 
+  function power(value) {
+    if (value == null) return "";
+    const exponent = Math.round(Math.log10(value));
+    if (Math.abs(value / Math.pow(10, exponent) - 1) > 1e-6) return String(value);
+    if (Math.abs(exponent) < 3) return String(Number(value.toPrecision(3)));
+    const raised = Array.from(String(exponent)).map((sign) => "⁰¹²³⁴⁵⁶⁷⁸⁹"["0123456789".indexOf(sign)] || "⁻").join("");
+    return "10" + raised;
+  }
+
   function axis(label, size) {
     return {
       label: label, labelSize: 20, labelFont: "13px system-ui, sans-serif", font: "12px system-ui, sans-serif", size: size,
@@ -28,6 +37,16 @@
     return found;
   }
 
+  function yAxis(panel, width) {
+    const found = axis(panel.y_label, width < 480 ? 48 : 58);
+    if (panel.log_y) found.values = (u, splits) => splits.map(power);
+    return found;
+  }
+
+  function decades(low, high) {
+    return [Math.pow(10, Math.floor(Math.log10(Math.max(low, high * 1e-6)))), Math.pow(10, Math.ceil(Math.log10(high)))];
+  }
+
   function series(curve) {
     if (curve.hidden || curve.style === "none") {
       const stroke = curve.hidden ? "transparent" : () => colour("c-" + curve.role);
@@ -40,7 +59,7 @@
       paths: curve.style === "bars" ? uPlot.paths.bars({ size: [0.8, 60] }) : points ? () => null : undefined,
       fill: curve.style === "bars" ? () => faded("c-" + curve.role) : undefined,
       points: { show: marked, size: 7, fill: () => colour("c-" + curve.role) },
-      value: (u, v) => shown(v, curve.digits),
+      value: (u, v) => curve.log ? (v == null ? "–" : v.toPrecision(3)) : shown(v, curve.digits),
     };
   }
 
@@ -70,9 +89,9 @@
       legend: { live: true },
       scales: {
         x: { time: false, distr: chart.log_x ? 3 : 1, range: (u, low, high) => [low, high] },
-        y: { distr: panel.log_y ? 3 : 1, range: panel.log_y ? undefined : (u, low, high) => margins(low, high, panel) },
+        y: { distr: panel.log_y ? 3 : 1, range: (u, low, high) => panel.log_y ? decades(low, high) : margins(low, high, panel) },
       },
-      axes: [xAxis(chart, index), axis(panel.y_label, width < 480 ? 48 : 58)],
+      axes: [xAxis(chart, index), yAxis(panel, width)],
       series: [{ label: chart.x_short, value: (u, v) => shown(v, chart.x_digits) }].concat(panel.curves.map(series)),
       bands: panel.bands.map(([high, low, role]) => ({ series: [high + 1, low + 1], fill: () => faded("c-" + role) })),
       hooks: {
