@@ -17,7 +17,7 @@ import numpy as np
 from ..sensors.manifest import Tractor
 from .fusion.motion import SteerInput
 from .wheel_series import Floats, Walk, fit_walk, robust_sd, signal, slow_noise, smooth, solve
-from .wheel_unit import Bools, bridged, integrate, per_second
+from .wheel_unit import Bools, bridged, integrate, per_second, trusted
 
 LONGEST = 60.0  # s, correlation time of the stationary process that stands for the walk in `SteerInput`
 HORIZON = 10.0  # s, lag at which a doubt of the bias counts as the walk that does the same
@@ -267,10 +267,12 @@ def sensor_angle(t: Floats, angle: Floats, noise_sd: float, grid_t: Floats) -> t
 
     noise_sd : rad, stated for a sample; the series' own noise is used where it shows more
     """
-    fitted, walk = fit_walk(t, angle)
+    good = trusted(angle)
+    fitted, walk = fit_walk(t[good], angle[good])
     noise = max(fitted, noise_sd**2)
     walk = max(walk, 1.0e-12)
-    seen = smooth((angle - angle[0])[:, None], Walk(walk * np.diff(t), np.full(t.size, noise)))
+    model = Walk(walk * np.diff(t), np.where(good, noise, np.inf))
+    seen = smooth((angle - angle[0])[:, None], model)
     after = np.clip(np.searchsorted(t, grid_t), 1, t.size - 1)
     away = np.minimum(np.abs(t[after] - grid_t), np.abs(grid_t - t[after - 1]))
     variance = np.interp(grid_t, t, seen.variance) + walk * away

@@ -9,13 +9,16 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
-from .wheel_series import Floats, block_means, fit_walk
+from .wheel_series import Floats, block_means, fit_walk, robust_sd
 
 Complexes = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
 Series = TypeVar("Series", Floats, Complexes)
 
+FULL_SCALES = np.radians([250.0, 500.0, 1000.0, 2000.0, 4000.0])  # rad/s, of common gyros
+SPIKE = 10.0  # robust standard deviations from the median of five
 REST_SPIN = 0.01  # rad/s by gravity, over two seconds: slower is standing
 REST_GYRO = 0.15  # rad/s: no gyro bias is larger
 CLUSTER = 3  # s, after which residuals are taken to be independent
@@ -76,6 +79,22 @@ class Unit:
         if self.carrier is None or self.carrier_ok is None:
             return np.full(self.t.size, self.carrier is not None)
         return self.carrier_ok
+
+
+def trusted(values: Floats) -> Bools:
+    """Samples of a gyro axis (or an angle) that are neither clipped nor spikes.
+
+    Clipped: three or more equal samples in a row within 1 % of a customary full scale. Spike: `SPIKE` robust
+    standard deviations off the median of its five neighbours.
+    """
+    same = values[1:] == values[:-1]
+    run = np.flatnonzero(same[1:] & same[:-1])
+    run = run[(np.abs(np.abs(values[run, None]) / FULL_SCALES - 1.0) < 0.01).any(axis=1)]
+    clipped = np.zeros(values.size, dtype=bool)
+    clipped[np.concatenate([run, run + 1, run + 2])] = True
+    off = values - median_filter(values, 5)
+    limit = SPIKE * max(robust_sd(off), robust_sd(np.diff(values)), 1.0e-4)
+    return ~clipped & (np.abs(off) <= limit)
 
 
 def per_second(t: Floats) -> int:

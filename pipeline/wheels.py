@@ -12,17 +12,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from ..sensors.manifest import Imd, Machine, Steer, Tractor, Wds
 from ..sensors.mounting import to_body
 from ..sensors.streams import FieldLog, ImuStream, SteerStream, StreamError, Warn, WheelStream
 from .fusion.motion import SteerInput
 from .wheel_phase import estimate_phase
-from .wheel_series import Floats, robust_sd
+from .wheel_series import Floats
 from .wheel_spin import hub_spin
 from .wheel_steer import TurnedWheel, WheelSteer, sensor_angle, steering_angle
-from .wheel_unit import Bools, Doubt, Unit
+from .wheel_unit import Bools, Doubt, Unit, trusted
 from .wheel_yaw import estimate_yaw_rate
 
 __all__ = [
@@ -38,10 +37,9 @@ __all__ = [
 ]
 
 LEAST_SAMPLES = 200  # two seconds: less says nothing of phase, bias and noise
-FULL_SCALES = np.radians([250.0, 500.0, 1000.0, 2000.0, 4000.0])  # rad/s, of common gyros
 GAP = 0.06  # s, of the body's unit, that may be bridged by a line
-SPIKE = 10.0  # robust standard deviations from the median of five
-COVERAGE = 0.95  # share of the grid a steering sensor must cover to be chosen
+COVERAGE = 0.95  # share of the grid that a steering sensor covers to be preferred to the wheels
+LEAST_COVERAGE = 0.5  # below, a series is none
 
 
 @dataclass(frozen=True)
@@ -158,29 +156,13 @@ def _unit(stream: WheelStream, sensor: Wds, radius: float, carrier: Carrier | No
         side=force[:, 1],
         axle=rate[:, 1],
         across=rate[:, 2] + 1j * rate[:, 0],
-        axle_ok=usable(rate[:, 1]),
-        across_ok=usable(rate[:, 0]) & usable(rate[:, 2]),
+        axle_ok=trusted(rate[:, 1]),
+        across_ok=trusted(rate[:, 0]) & trusted(rate[:, 2]),
         radius=radius,
         place=complex(sensor.offset[2], -sensor.offset[0]),
         carrier=None if carrier is None else carrier.at(stream.t),
         carrier_ok=None if carrier is None else carrier.covers(stream.t),
     )
-
-
-def usable(gyro: Floats) -> Bools:
-    """Samples of a gyro axis that are neither clipped nor spikes.
-
-    Clipped: three or more equal samples in a row within 1 % of a customary full scale. Spike: `SPIKE` robust
-    standard deviations off the median of its five neighbours.
-    """
-    same = gyro[1:] == gyro[:-1]
-    run = np.flatnonzero(same[1:] & same[:-1])
-    run = run[(np.abs(np.abs(gyro[run, None]) / FULL_SCALES - 1.0) < 0.01).any(axis=1)]
-    clipped = np.zeros(gyro.size, dtype=bool)
-    clipped[np.concatenate([run, run + 1, run + 2])] = True
-    off = gyro - median_filter(gyro, 5)
-    limit = SPIKE * max(robust_sd(off), robust_sd(np.diff(gyro)), 1.0e-4)
-    return ~clipped & (np.abs(off) <= limit)
 
 
 def wheel_motions(log: FieldLog) -> dict[str, WheelMotion]:
@@ -246,30 +228,47 @@ def choose_steer_input(
     log: FieldLog, grid_t: Floats, wheels: Mapping[str, WheelMotion] | None = None
 ) -> SteerInput | None:
     """The series that may drive the replay: the steering sensor where it covers the pass, else the front
-    wheels.
+    wheels, else what there is of the sensor.
 
-    None when the log has neither.
+    None when the log has neither for half of the grid.
     """
-    for name, sensor in log.manifest.of_kind("steer").items():
-        stream = log.streams.get(name)
-        if isinstance(stream, SteerStream) and _covers(stream.t, grid_t):
+    sensors = _steer_sensors(log)
+    for stream, sensor in sensors:
+        if _share(stream.t, grid_t) >= COVERAGE:
             return steer_from_sensor(stream, sensor, grid_t)
-    wheels = wheel_motions(log) if wheels is None else wheels
+    steer = _by_wheels(log, grid_t, wheel_motions(log) if wheels is None else wheels)
+    if steer is not None:
+        return steer.as_input()
+    for stream, sensor in sensors:
+        if _share(stream.t, grid_t) >= LEAST_COVERAGE:
+            return steer_from_sensor(stream, sensor, grid_t)
+    return None
+
+
+def _steer_sensors(log: FieldLog) -> list[tuple[SteerStream, Steer]]:
+    found = [(log.streams.get(name), sensor) for name, sensor in log.manifest.of_kind("steer").items()]
+    return [(stream, sensor) for stream, sensor in found if isinstance(stream, SteerStream)]
+
+
+def _by_wheels(log: FieldLog, grid_t: Floats, wheels: Mapping[str, WheelMotion]) -> WheelSteer | None:
+    """Steering by the front wheels' units where one covers half of the grid; the body's rate by all its
+    IMDs.
+    """
     body = carriers(log)
-    if not body:
+    covered = [w for w in wheels.values() if w.front and _share(w.t, grid_t) >= LEAST_COVERAGE]
+    if not body or not covered:
         return None
     yaw_rate = np.mean([c.at(body[0].t)[:, 2] for c in body], axis=0)
-    steer = steer_from_wheels(wheels, body[0].t, yaw_rate, grid_t, log.manifest.machine.tractor)
-    return None if steer is None else steer.as_input()
+    return steer_from_wheels(wheels, body[0].t, yaw_rate, grid_t, log.manifest.machine.tractor)
 
 
-def _covers(t: Floats, grid_t: Floats) -> bool:
-    """Whether `COVERAGE` of the grid lies within half a second of a sample."""
+def _share(t: Floats, grid_t: Floats) -> float:
+    """Share of the grid that lies within half a second of a sample."""
     if t.size < 2:
-        return False
+        return 0.0
     after = np.clip(np.searchsorted(t, grid_t), 1, t.size - 1)
     near = np.minimum(np.abs(t[after] - grid_t), np.abs(t[after - 1] - grid_t))
-    return bool(np.mean(near < 0.5) >= COVERAGE)
+    return float(np.mean(near < 0.5))
 
 
 def _doubt(sensor: Wds) -> Doubt:
