@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ LEAST_RANGE = {  # m, rad
 }
 LEAST_RANGE_IN_U = 4.0
 NORMAL_R95 = 3.92  # Q97.5 − Q2.5 of a normal variate, in standard deviations
-R95_LOG_VARIANCE = 0.907  # n·var(ln R95) of n independent normal values, by the quantiles' asymptotic law
+R95_LOG_VARIANCE = 0.905  # n·var(ln R95) of n independent normal values, by the quantiles' asymptotic law
 GUARDS = {True: (0.8, 1.25), False: (0.5, 2.0)}  # factors on u² when the filter's consistency holds, or not
 
 

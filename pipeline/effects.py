@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
+from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 Floats = NDArray[np.float64]
@@ -40,6 +41,16 @@ class Effect:
 
 
 @dataclass(frozen=True)
+class JointTest:
+    """Fisher's F of adding columns to a design, with its degrees of freedom and probability."""
+
+    f: float
+    dof_between: int
+    dof_within: int
+    p: float
+
+
+@dataclass(frozen=True)
 class Effects:
     """Effects of one index.
 
@@ -47,6 +58,7 @@ class Effects:
     enters once,
     by its first member); constant : factors that never changed
     model : "blocks" (fixed field and direction) or "random field"
+    joint : whether the factors matter at all, all together (with fixed blocks; aliased ones are in it too)
     """
 
     index: str
@@ -58,6 +70,7 @@ class Effects:
     dof: int
     residual_sd: float
     note: str = ""
+    joint: JointTest | None = None
 
 
 @dataclass(frozen=True)
@@ -95,16 +108,14 @@ def least_squares(x: Floats, y: Floats) -> Fit:
     return Fit(beta + shift * constant, variance * inverse @ inverse.T, variance, count - columns)
 
 
-def one_way(groups: Sequence[Floats]) -> tuple[float, float, float]:
-    """One-way analysis of variance: F, between and within sums of squares, the grand mean taken off first."""
-    shift = float(np.mean(groups[0]))
-    shifted = [np.asarray(g, dtype=np.float64) - shift for g in groups]
-    grand = float(np.mean(np.concatenate(shifted)))
-    between = float(sum(g.size * (g.mean() - grand) ** 2 for g in shifted))
-    within = float(sum(((g - g.mean()) ** 2).sum() for g in shifted))
-    count = sum(g.size for g in shifted)
-    f = (between / (len(groups) - 1)) / (within / (count - len(groups)))
-    return f, between, within
+def nested_f(small: Floats, large: Floats, y: Floats) -> JointTest:
+    """F = [(RSS₀ − RSS₁)/(p₁ − p₀)] / [RSS₁/(N − p₁)] of a design within a larger one (analysis of
+    variance)."""
+    first, second = least_squares(small, y), least_squares(large, y)
+    between, within = first.dof - second.dof, second.dof
+    gained = first.variance * first.dof - second.variance * within
+    f = gained / between / second.variance if second.variance > 0.0 else float("inf")
+    return JointTest(f, between, within, float(fisher.sf(f, between, within)))
 
 
 def block_columns(labels: Sequence[Sequence[str]]) -> Floats:
@@ -190,10 +201,10 @@ def effects_of(
         )
     except EffectsError as error:
         return Effects(index, (), found, constant, model, values.size, 0, float("nan"), str(error))
-    effects = [_effect(name, steps[name], fit, blocks.shape[1] + i, alpha) for i, name in enumerate(kept)]
-    return Effects(
-        index, tuple(effects), found, constant, model, values.size, fit.dof, float(np.sqrt(fit.variance))
-    )
+    effects = tuple(_effect(n, steps[n], fit, blocks.shape[1] + i, alpha) for i, n in enumerate(kept))
+    joint = None if random else nested_f(blocks, design, np.log(values))
+    spread = float(np.sqrt(fit.variance))
+    return Effects(index, effects, found, constant, model, values.size, fit.dof, spread, "", joint)
 
 
 def _effect(name: str, step: float, fit: Fit, column: int, alpha: float) -> Effect:
