@@ -104,8 +104,9 @@ def calibration(x: Floats, packed: Floats, known: Known, wheels: Mapping[str, Wh
         "lag": (s.LAG, "s"), "gyro_bias_x": (s.BGX, "rad/s"), "gyro_bias_y": (s.BGY, "rad/s"),
         "gyro_bias_z": (s.BGZ, "rad/s"), "accel_bias_x": (s.BAX, "m/s2"), "accel_bias_y": (s.BAY, "m/s2"),
     }  # fmt: skip
+    units["gyro_scale"] = (s.SCALE1, "1")
     if known.two is not None:
-        units["gyro_bias_z_seeder"] = (s.BGZ2, "rad/s")
+        units["gyro_bias_z_seeder"], units["gyro_scale_seeder"] = (s.BGZ2, "rad/s"), (s.SCALE2, "1")
     if known.wheel is not None:
         units["wheel_scale"] = (s.KAPPA, "1")
     out: dict[str, Any] = {
@@ -132,7 +133,7 @@ def noise_table(known: Known, levels: Levels, free: tuple[str, ...], p: Floats) 
         }  # fmt: skip
     table["levels"] = {
         name: {"value": float(getattr(levels, name)), "source": "innovations" if name in free else "assumed"}
-        for name in ("beta1", "beta2", "white_fixed", "white_float", "velocity", "lateral", "hitch", "wheel")
+        for name in ("beta1", "beta2", "white_fixed", "white_float", "velocity", "lateral", "hitch", "forward", "wheel")
     }
     return table
 

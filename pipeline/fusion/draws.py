@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 EVERY = 5  # nodes between draws' instants: 10 Hz
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _step(F, d, out):  # type: ignore[no-untyped-def]
     """F·d for the columns of d (SIZE, K), skipping structural zeros."""
     for i in range(SIZE):
@@ -35,7 +35,7 @@ def _step(F, d, out):  # type: ignore[no-untyped-def]
             out[i, c] += f * d[m, c]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _adjoint_step(F, lam, out):  # type: ignore[no-untyped-def]
     """Fᵀ·lambda for the columns of lambda (SIZE, K)."""
     for i in range(SIZE):
@@ -48,7 +48,33 @@ def _adjoint_step(F, lam, out):  # type: ignore[no-untyped-def]
             out[i, c] += f * lam[m, c]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def _add_noise(row, variance):  # type: ignore[no-untyped-def]
+    """Independent normal noise of one variance added to a row, in place."""
+    if variance > 0.0:
+        sd = np.sqrt(variance)
+        for c in range(row.size):
+            row[c] += sd * np.random.normal()
+
+
+@njit(cache=True, error_model="numpy")
+def _copy(a, out):  # type: ignore[no-untyped-def]
+    """A matrix into another."""
+    for i in range(a.shape[0]):
+        for c in range(a.shape[1]):
+            out[i, c] = a[i, c]
+
+
+@njit(cache=True, error_model="numpy")
+def _add_product(P, lam, out):  # type: ignore[no-untyped-def]
+    """P·lambda added to `out`, (SIZE, K)."""
+    for i in range(SIZE):
+        for j in range(SIZE):
+            for c in range(lam.shape[1]):
+                out[i, c] += P[i, j] * lam[j, c]
+
+
+@njit(cache=True, error_model="numpy")
 def _simulate(P0, u, dt, starts, var, inject, p, lin, H, K, used, seed, gap, error, nu):  # type: ignore[no-untyped-def]
     """Forward: simulated error less its filter estimate at nodes (every EVERY-th kept), innovations of all draws."""
     np.random.seed(seed)
@@ -57,9 +83,12 @@ def _simulate(P0, u, dt, starts, var, inject, p, lin, H, K, used, seed, gap, err
     F, q = np.eye(SIZE), np.empty(SIZE)
     for i in range(SIZE):
         for c in range(draws):
-            d[i, c] = np.sqrt(P0[i, i]) * np.random.normal()
+            d[i, c] = 0.0
     for k in range(lin.shape[0]):
-        if k > 0:
+        if k == 0:
+            for i in range(SIZE):
+                q[i] = P0[i, i]
+        else:
             transition(lin[k - 1], u[k - 1], dt, p, F)
             process_noise(lin[k - 1], u[k - 1], dt, p, q)
             q[EX] += inject[k, 0]
@@ -68,28 +97,24 @@ def _simulate(P0, u, dt, starts, var, inject, p, lin, H, K, used, seed, gap, err
             q[FY] += inject[k, 1]
             _step(F, d, ahead)
             d, ahead = ahead, d
-            for i in range(SIZE):
-                if q[i] > 0.0:
-                    sd = np.sqrt(q[i])
-                    for c in range(draws):
-                        d[i, c] += sd * np.random.normal()
+        for i in range(SIZE):
+            _add_noise(d[i], q[i])
         for m in range(starts[k], starts[k + 1]):
             if not used[m]:
                 continue
-            sd = np.sqrt(var[m])
-            for c in range(draws):
-                v = sd * np.random.normal()
-                for i in range(SIZE):
-                    if H[m, i] != 0.0:
-                        v += H[m, i] * d[i, c]
-                nu[m, c] = v
-                for i in range(SIZE):
-                    d[i, c] -= K[m, i] * v
+            _add_noise(nu[m], var[m])
+            for i in range(SIZE):
+                if H[m, i] != 0.0:
+                    for c in range(draws):
+                        nu[m, c] += H[m, i] * d[i, c]
+            for i in range(SIZE):
+                for c in range(draws):
+                    d[i, c] -= K[m, i] * nu[m, c]
         if k % gap == 0:
-            error[k // gap] = d
+            _copy(d, error[k // gap])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _smooth(u, dt, starts, p, lin, packed, H, K, S, used, gap, error, nu):  # type: ignore[no-untyped-def]
     """Backward: turn filter errors into smoother errors, error + P·lambda, in place at the kept nodes."""
     draws = nu.shape[1]
@@ -104,7 +129,7 @@ def _smooth(u, dt, starts, p, lin, packed, H, K, S, used, gap, error, nu):  # ty
             lam, out = out, lam
         if k % gap == 0:
             unpack(packed[k], P)
-            error[k // gap] += P @ lam
+            _add_product(P, lam, error[k // gap])
         for m in range(starts[k + 1] - 1, starts[k] - 1, -1):
             if not used[m]:
                 continue

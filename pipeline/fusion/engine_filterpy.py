@@ -69,14 +69,15 @@ def _update(
     R = np.diag(q.var[rows])
     S = H @ ekf.P @ H.T + R
     nu = q.z[rows] - expected
-    passes = float(nu @ np.linalg.solve(S, nu)) <= (GATE_2 if len(rows) == 2 else GATE_1)
+    gate = GATE_2 if len(rows) == 2 else GATE_1
+    passes = float(nu @ np.linalg.solve(S, nu)) <= gate
     _record(out, rows, H, ekf.P, q.var[rows], nu, passes)
     if passes:
         ekf.R = R
         ekf.update(q.z[rows], lambda _: H, lambda _: expected, R=R)
         gained = -0.5 * sum(out.nu[r] ** 2 / out.S[r] + np.log(out.S[r]) for r in rows)
     else:
-        gained = -0.5 * (GATE_1 + sum(np.log(out.S[r]) for r in rows))
+        gained = -0.5 * (gate + sum(np.log(out.S[r]) for r in rows))
     return rows[-1] + 1, float(gained)
 
 

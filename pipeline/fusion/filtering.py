@@ -17,7 +17,7 @@ KEEP = np.array(KEPT, dtype=np.int64)
 PAIRS = np.array(PAIRED, dtype=np.int64)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def propagate(P, F, q):  # type: ignore[no-untyped-def]
     """F·P·Fᵀ + diag(q) in place, skipping the structural zeros of F."""
     n = SIZE
@@ -43,7 +43,17 @@ def propagate(P, F, q):  # type: ignore[no-untyped-def]
         P[i, i] += q[i]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def carry(F, x, point, there):  # type: ignore[no-untyped-def]
+    """F·(x − point) added to `there` in place, skipping the structural zeros of F."""
+    for i in range(SIZE):
+        there[i] += F[i, i] * (x[i] - point[i])
+    for e in range(PATTERN.shape[0]):
+        i, m = PATTERN[e, 0], PATTERN[e, 1]
+        there[i] += F[i, m] * (x[m] - point[m])
+
+
+@njit(cache=True, error_model="numpy")
 def gain(P, H, var, K):  # type: ignore[no-untyped-def]
     """Innovation variance S = H·P·Hᵀ + var and gain K = P·Hᵀ/S of a scalar measurement."""
     n = SIZE
@@ -62,7 +72,7 @@ def gain(P, H, var, K):  # type: ignore[no-untyped-def]
     return S
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def correct(x, P, K, S, innovation):  # type: ignore[no-untyped-def]
     """x + K·innovation and P − K·S·Kᵀ in place, kept symmetric."""
     n = SIZE
@@ -73,7 +83,7 @@ def correct(x, P, K, S, innovation):  # type: ignore[no-untyped-def]
             P[j, i] = P[i, j]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def expected(kind, x, point, node, ahead, p, H):  # type: ignore[no-untyped-def]
     """h(point) + H·(x − point): the measurement expected at x, linearised at `point`; fills H."""
     value = predict(kind, point, node, ahead, p, H)
@@ -83,22 +93,31 @@ def expected(kind, x, point, node, ahead, p, H):  # type: ignore[no-untyped-def]
     return value
 
 
-@njit(cache=True)
-def pair_passes(P, H, other, nu, nu_other, var, var_other):  # type: ignore[no-untyped-def]
-    """Joint χ² of two scalar innovations from one linearisation, against the gate."""
-    a, b, c = var, 0.0, var_other
+@njit(cache=True, error_model="numpy")
+def shared(P, H, a, b):  # type: ignore[no-untyped-def]
+    """Row a of H times P times row b."""
+    total = 0.0
     for i in range(SIZE):
-        if H[i] == 0.0 and other[i] == 0.0:
-            continue
-        for j in range(SIZE):
-            a += H[i] * P[i, j] * H[j]
-            b += H[i] * P[i, j] * other[j]
-            c += other[i] * P[i, j] * other[j]
-    d2 = (c * nu * nu - 2.0 * b * nu * nu_other + a * nu_other * nu_other) / (a * c - b * b)
-    return d2 <= GATE_2
+        if H[a, i] != 0.0:
+            for j in range(SIZE):
+                total += H[a, i] * P[i, j] * H[b, j]
+    return total
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def distance(P, H, nu, var, m, count):  # type: ignore[no-untyped-def]
+    """Squared Mahalanobis distance of one or two scalar innovations from one linearisation (rows of H).
+
+    var[m], var[m + 1]: their own variances
+    """
+    a = shared(P, H, 0, 0) + var[m]
+    if count == 1:
+        return nu[0] * nu[0] / a
+    b, c = shared(P, H, 0, 1), shared(P, H, 1, 1) + var[m + 1]
+    return (c * nu[0] * nu[0] - 2.0 * b * nu[0] * nu[1] + a * nu[1] * nu[1]) / (a * c - b * b)
+
+
+@njit(cache=True, error_model="numpy")
 def is_pair(kind):  # type: ignore[no-untyped-def]
     """Whether this kind is the first of an east-north pair."""
     for e in range(PAIRS.size):
@@ -107,49 +126,45 @@ def is_pair(kind):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def update_node(x, P, lin, linear, node, kinds, z, var, ahead, p, first, last, H, K, S, nu, used, store):  # type: ignore[no-untyped-def]
     """All measurements of one node, in order; returns the Gaussian log-likelihood of those that pass the gate.
 
-    Row m of H, K, S, nu, used is filled for measurement m when `store`, else row 0 is scratch.
+    Both of a pair are linearised at one point and judged together; the second's innovation is then what the
+    first leaves of it. Row m of H, K, S, nu, used is filled for measurement m when `store`, else row 0 is scratch.
     """
     total = 0.0
-    other = np.empty(SIZE)
+    rows, left = np.empty((2, SIZE)), np.empty(2)
+    point, before = np.empty(SIZE), np.empty(SIZE)
     m = first
     while m < last:
-        r = m if store else 0
-        pair = is_pair(kinds[m])
-        point = lin if linear else x.copy()
-        nu[r] = z[m] - expected(kinds[m], x, point, node, ahead[m], p, H[r])
-        passes = True
-        if pair:
-            nu_other = z[m + 1] - expected(kinds[m + 1], x, point, node, ahead[m + 1], p, other)
-            passes = pair_passes(P, H[r], other, nu[r], nu_other, var[m], var[m + 1])
-        S[r] = gain(P, H[r], var[m], K[r])
-        if not pair:
-            passes = nu[r] * nu[r] <= GATE_1 * S[r]
-        used[r] = passes
-        if passes:
-            total -= 0.5 * (nu[r] * nu[r] / S[r] + np.log(S[r]))
-            correct(x, P, K[r], S[r], nu[r])
-        else:
-            total -= 0.5 * (GATE_1 + np.log(S[r]))
-        m += 1
-        if pair:
-            r = m if store else 0
-            nu[r] = z[m] - expected(kinds[m], x, point, node, ahead[m], p, H[r])
-            S[r] = gain(P, H[r], var[m], K[r])
+        count = 2 if is_pair(kinds[m]) else 1
+        for e in range(SIZE):
+            before[e] = x[e]
+            point[e] = lin[e] if linear else x[e]
+        for i in range(count):
+            left[i] = z[m + i] - expected(kinds[m + i], x, point, node, ahead[m + i], p, rows[i])
+        gate = GATE_2 if count == 2 else GATE_1
+        passes = distance(P, rows, left, var, m, count) <= gate
+        if not passes:
+            total -= 0.5 * gate
+        for i in range(count):
+            r = m + i if store else 0
+            S[r] = gain(P, rows[i], var[m + i], K[r])
+            nu[r] = left[i]
+            for e in range(SIZE):
+                H[r, e] = rows[i, e]
+                nu[r] -= rows[i, e] * (x[e] - before[e])
             used[r] = passes
+            total -= 0.5 * np.log(S[r])
             if passes:
-                total -= 0.5 * (nu[r] * nu[r] / S[r] + np.log(S[r]))
+                total -= 0.5 * nu[r] * nu[r] / S[r]
                 correct(x, P, K[r], S[r], nu[r])
-            else:
-                total -= 0.5 * (np.log(S[r]))
-            m += 1
+        m += count
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def pack(P, row):  # type: ignore[no-untyped-def]
     """Lower triangle of a symmetric matrix into a row."""
     e = 0
@@ -159,7 +174,7 @@ def pack(P, row):  # type: ignore[no-untyped-def]
             e += 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def unpack(row, P):  # type: ignore[no-untyped-def]
     """The symmetric matrix whose lower triangle `pack` wrote."""
     e = 0
@@ -170,7 +185,7 @@ def unpack(row, P):  # type: ignore[no-untyped-def]
             e += 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def forward(x0, P0, u, nodes, dt, kinds, starts, z, var, ahead, inject, p, lin, linear, out_x, out_P, H, K, S, nu, used, store):  # type: ignore[no-untyped-def]
     """Filter all nodes; returns the log-likelihood. With `linear` everything is linearised at `lin` (N, SIZE)."""
     x, P = x0.copy(), P0.copy()
@@ -180,11 +195,11 @@ def forward(x0, P0, u, nodes, dt, kinds, starts, z, var, ahead, inject, p, lin, 
     for k in range(nodes.shape[0]):
         if k > 0:
             point = lin[k - 1] if linear else x
-            ahead_x = transition(point, u[k - 1], dt, p, F)
+            there = transition(point, u[k - 1], dt, p, F)
             process_noise(point, u[k - 1], dt, p, q)
             if linear:
-                ahead_x += F @ (x - point)
-            x = ahead_x
+                carry(F, x, point, there)
+            x = there
             q[EX] += inject[k, 0]
             q[EY] += inject[k, 0]
             q[FX] += inject[k, 1]
@@ -195,12 +210,13 @@ def forward(x0, P0, u, nodes, dt, kinds, starts, z, var, ahead, inject, p, lin, 
             starts[k], starts[k + 1], H, K, S, nu, used, store,
         )  # fmt: skip
         if store:
-            out_x[k] = x
+            for i in range(SIZE):
+                out_x[k, i] = x[i]
             pack(P, out_P[k])
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def absorb(lam, Lam, H, K, S, nu):  # type: ignore[no-untyped-def]
     """Adjoint state and covariance back through one scalar update: (I − KH)ᵀ on both sides, plus HᵀH/S."""
     n = SIZE
@@ -226,7 +242,7 @@ def absorb(lam, Lam, H, K, S, nu):  # type: ignore[no-untyped-def]
                 Lam[i, j] += H[i] * H[j] * weight
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def retreat(lam, Lam, F):  # type: ignore[no-untyped-def]
     """Adjoint state and covariance back through one step: Fᵀ·lambda and Fᵀ·Lambda·F."""
     n = SIZE
@@ -253,7 +269,7 @@ def retreat(lam, Lam, F):  # type: ignore[no-untyped-def]
             Lam[i, j] += A[i, m] * f
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def kept_covariance(P, Lam, out):  # type: ignore[no-untyped-def]
     """Rows and columns KEEP of P − P·Lambda·P."""
     n, k = SIZE, KEEP.size
@@ -274,7 +290,7 @@ def kept_covariance(P, Lam, out):  # type: ignore[no-untyped-def]
             out[b, a] = v
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def backward(u, dt, starts, p, lin, out_x, out_P, H, K, S, nu, used, smooth_x, smooth_P):  # type: ignore[no-untyped-def]
     """Modified Bryson-Frazier smoother over stored filter results; `lin` (N, SIZE) is where F was taken.
 
@@ -291,7 +307,10 @@ def backward(u, dt, starts, p, lin, out_x, out_P, H, K, S, nu, used, smooth_x, s
             transition(lin[k], u[k], dt, p, F)
             retreat(lam, Lam, F)
         unpack(out_P[k], P)
-        smooth_x[k] = out_x[k] - P @ lam
+        for i in range(SIZE):
+            smooth_x[k, i] = out_x[k, i]
+            for j in range(SIZE):
+                smooth_x[k, i] -= P[i, j] * lam[j]
         kept_covariance(P, Lam, smooth_P[k])
         for m in range(starts[k + 1] - 1, starts[k] - 1, -1):
             if used[m]:

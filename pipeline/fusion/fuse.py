@@ -83,7 +83,7 @@ def cut(task: Problem, first: int, last: int, path: Floats) -> Problem:
 def free_levels(known: Known) -> tuple[str, ...]:
     """Levels with enough data to be tuned."""
     main = known.epochs[0]
-    free = ["beta1", "lateral"]
+    free = ["beta1", "lateral", "forward"]
     free += ["white_fixed"] if main.fixed.sum() > 100 else []
     free += ["white_float"] if (~main.fixed).sum() > 50 else []
     free += ["velocity"] if np.isfinite(main.vx).sum() > 50 else []

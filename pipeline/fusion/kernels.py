@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from ...sensors.manifest import GRAVITY
+from .settings import BEND_FROM, DRAG, TAU_TURN, TURN_FROM
 from .state import (
     ACCEL_Y,
     BAX,
@@ -37,7 +38,6 @@ from .state import (
     LEVEL_ROLL,
     N_PITCH2,
     N_ROLL2,
-    P_ACCEL,
     P_ANT2_X,
     P_ANT2_Y,
     P_ANT2_Z,
@@ -50,6 +50,7 @@ from .state import (
     P_BIAS_WALK,
     P_COM2,
     P_COMPLIANCE,
+    P_FORWARD,
     P_GYRO1,
     P_GYRO2,
     P_HITCH,
@@ -65,8 +66,11 @@ from .state import (
     P_TAU_E,
     P_TAU_SLIP,
     P_TILT,
+    P_TURN,
     PITCH,
     ROLL,
+    SCALE1,
+    SCALE2,
     SECOND_X,
     SIZE,
     SLIP1,
@@ -78,6 +82,8 @@ from .state import (
     STILL_SLIP,
     STILL_V,
     THIRD_X,
+    TURN1,
+    TURN2,
     U_DRIVE,
     U_FX,
     U_FY,
@@ -105,7 +111,7 @@ GATE_2 = 18.42  # χ² with 2 degrees of freedom at 1e-4
 GATE_1 = 15.14  # χ² with 1 degree of freedom at 1e-4
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def transition(x, u, dt, p, F):  # type: ignore[no-untyped-def]
     """State after one step and its Jacobian, written into F (which holds the identity outside its pattern).
 
@@ -122,27 +128,31 @@ def transition(x, u, dt, p, F):  # type: ignore[no-untyped-def]
     tan = st / ct
     wx, wy, wz = u[U_WX] - x[BGX], u[U_WY] - x[BGY], u[U_WZ] - x[BGZ]
     level = wy * s + wz * c
-    turn = level / ct
+    turn = level / ct * (1.0 - x[SCALE1])
+    turn2 = (u[U_W2] - x[BGZ2]) * (1.0 - x[SCALE2])
     out[YAW1] = x[YAW1] + turn * h
     out[ROLL] = x[ROLL] + (wx + tan * level) * h
     out[PITCH] = x[PITCH] + (wy * c - wz * s) * h
     fx, fy = u[U_FX] - x[BAX], u[U_FY] - x[BAY]
     up = s * fy + c * GRAVITY
-    out[V] = x[V] + (ct * fx + st * up + turn * x[SLIP1]) * h
+    across = x[SLIP1] + x[TURN1]
+    out[V] = x[V] + (ct * fx + st * up + turn * across) * h
     middle = x[YAW1] + 0.5 * turn * h
     speed = 0.5 * (x[V] + out[V])
     cy, sy = math.cos(middle), math.sin(middle)
-    out[X] = x[X] + (speed * cy - x[SLIP1] * sy) * dt
-    out[Y] = x[Y] + (speed * sy + x[SLIP1] * cy) * dt
-    out[YAW2] = x[YAW2] + (u[U_W2] - x[BGZ2]) * h
+    out[X] = x[X] + (speed * cy - across * sy) * dt
+    out[Y] = x[Y] + (speed * sy + across * cy) * dt
+    out[YAW2] = x[YAW2] + turn2 * h
     slip = math.exp(-dt / p[P_TAU_SLIP])
     slow = math.exp(-dt / p[P_TAU_E])
-    for i, keep in ((SLIP1, slip), (SLIP2, slip), (EX, slow), (EY, slow), (FX, slow), (FY, slow), (GX, slow), (GY, slow)):
+    bend = math.exp(-dt / TAU_TURN)
+    for i, keep in ((SLIP1, slip), (SLIP2, slip), (EX, slow), (EY, slow), (FX, slow), (FY, slow), (GX, slow), (GY, slow), (TURN1, bend), (TURN2, bend)):
         out[i] = keep * x[i]
         F[i, i] = keep
     F[X, YAW1], F[Y, YAW1] = -(out[Y] - x[Y]), out[X] - x[X]
     F[X, V], F[X, SLIP1] = cy * dt, -sy * dt
     F[Y, V], F[Y, SLIP1] = sy * dt, cy * dt
+    F[X, TURN1], F[Y, TURN1], F[V, TURN1] = F[X, SLIP1], F[Y, SLIP1], turn * h
     F[YAW1, ROLL], F[YAW1, PITCH] = (wy * c - wz * s) / ct * h, turn * tan * h
     F[YAW1, BGY], F[YAW1, BGZ] = -s / ct * h, -c / ct * h
     F[ROLL, ROLL] = 1.0 + tan * (wy * c - wz * s) * h
@@ -152,6 +162,7 @@ def transition(x, u, dt, p, F):  # type: ignore[no-untyped-def]
     F[V, ROLL], F[V, PITCH] = st * (c * fy - s * GRAVITY) * h, (ct * up - st * fx) * h
     F[V, BAX], F[V, BAY], F[V, SLIP1] = -ct * h, -st * s * h, turn * h
     F[YAW2, BGZ2] = -h
+    F[YAW1, SCALE1], F[YAW2, SCALE2] = -level / ct * h, -(u[U_W2] - x[BGZ2]) * h
     return out
 
 
@@ -160,13 +171,14 @@ PATTERN = np.array(
     [
         (X, YAW1), (X, V), (X, SLIP1), (Y, YAW1), (Y, V), (Y, SLIP1), (YAW1, ROLL), (YAW1, PITCH), (YAW1, BGY),
         (YAW1, BGZ), (ROLL, PITCH), (ROLL, BGX), (ROLL, BGY), (ROLL, BGZ), (PITCH, ROLL), (PITCH, BGY), (PITCH, BGZ),
-        (V, ROLL), (V, PITCH), (V, BAX), (V, BAY), (V, SLIP1), (YAW2, BGZ2),
+        (V, ROLL), (V, PITCH), (V, BAX), (V, BAY), (V, SLIP1), (YAW2, BGZ2), (YAW1, SCALE1), (YAW2, SCALE2),
+        (X, TURN1), (Y, TURN1), (V, TURN1),
     ],
     dtype=np.int64,
 )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def process_noise(x, u, dt, p, q):  # type: ignore[no-untyped-def]
     """Variances added by one step, into q (SIZE,): Gauss-Markov drives, gyro and accelerometer noise, holes."""
     q[:] = 0.0
@@ -176,6 +188,10 @@ def process_noise(x, u, dt, p, q):  # type: ignore[no-untyped-def]
     slow = 1.0 - math.exp(-2.0 * dt / p[P_TAU_E])
     q[SLIP1] = (p[P_BETA1] + p[P_COMPLIANCE] * lateral) ** 2 * speed**2 * swing
     q[SLIP2] = p[P_SEEDER] * (p[P_BETA2] + p[P_COMPLIANCE] * lateral) ** 2 * speed**2 * swing
+    hard = max(lateral - TURN_FROM, 0.0)
+    bent = DRAG * max(abs(x[YAW1] - x[YAW2]) - BEND_FROM, 0.0) * p[P_SEEDER]
+    q[TURN1] = ((p[P_TURN] * hard + bent) * speed) ** 2 * (1.0 - math.exp(-2.0 * dt / TAU_TURN))
+    q[TURN2] = p[P_SEEDER] * (p[P_TURN] * hard * speed) ** 2 * (1.0 - math.exp(-2.0 * dt / TAU_TURN))
     q[EX] = q[EY] = p[P_SD_E] ** 2 * slow
     q[FX] = q[FY] = p[P_SD_F] ** 2 * slow
     q[GX] = q[GY] = p[P_SD_G] ** 2 * slow
@@ -187,13 +203,13 @@ def process_noise(x, u, dt, p, q):  # type: ignore[no-untyped-def]
     gap1 = GAP_RATE * u[U_GAP1]
     q[YAW1] = p[P_GYRO1] ** 2 * dt + 0.25 * gap1 * gap1
     q[ROLL] = q[PITCH] = p[P_GYRO1] ** 2 * dt + 4.0 * gap1 * gap1
-    q[V] = p[P_ACCEL] ** 2 * dt + (GAP_ACCEL * u[U_GAP1]) ** 2
+    q[V] = p[P_FORWARD] ** 2 * dt + (GAP_ACCEL * u[U_GAP1]) ** 2
     gap2 = GAP_RATE * u[U_GAP2]
     q[YAW2] = p[P_SEEDER] * (p[P_GYRO2] ** 2 * dt + 0.25 * gap2 * gap2)
     q[KAPPA] = (p[P_KAPPA_WALK] ** 2 + (p[P_KAPPA_DRIVE] * u[U_DRIVE]) ** 2) * dt
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def antenna_offset(roll, pitch, ax, ay, az):  # type: ignore[no-untyped-def]
     """Horizontal place of a point of the tilted body, Ry(pitch)·Rx(roll)·(ax, ay, az), and its derivatives.
 
@@ -207,13 +223,14 @@ def antenna_offset(roll, pitch, ax, ay, az):  # type: ignore[no-untyped-def]
     return forward, left, -up, st * left, ct * up - st * ax
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def predict_position(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
     """East or north of the tractor's antenna `ahead` + LAG seconds after the node; fills H."""
     north = (kind & 1) if kind < THIRD_X else kind - THIRD_X
     third = kind >= THIRD_X
     dt = ahead + x[LAG]
-    wz = node[U_WZ] - x[BGZ]
+    wz = (node[U_WZ] - x[BGZ]) * (1.0 - x[SCALE1])
+    across = x[SLIP1] + x[TURN1]
     roll_rate, pitch_rate = node[U_WX] - x[BGX], node[U_WY] - x[BGY]
     tilt = p[P_TILT]
     roll, pitch = tilt * (x[ROLL] + roll_rate * dt), tilt * (x[PITCH] + pitch_rate * dt)
@@ -233,19 +250,19 @@ def predict_position(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def
         slow = FY if north == 1 else FX
     H[:] = 0.0
     H[at], H[slow] = 1.0, 1.0
-    H[YAW1] = -fwd * s - left * c - (x[V] * sm + x[SLIP1] * cm) * dt
-    H[V], H[SLIP1] = cm * dt, -sm * dt
+    H[YAW1] = -fwd * s - left * c - (x[V] * sm + across * cm) * dt
+    H[V], H[SLIP1], H[TURN1] = cm * dt, -sm * dt, -sm * dt
     H[ROLL] = tilt * (fwd_roll * c - left_roll * s)
     H[PITCH] = tilt * fwd_pitch * c
     swing = tilt * (fwd_pitch * pitch_rate * c + (fwd_roll * c - left_roll * s) * roll_rate)
-    H[LAG] = x[V] * cm - x[SLIP1] * sm + wz * (-fwd * s - left * c) + swing
-    return x[at] + x[slow] + (x[V] * cm - x[SLIP1] * sm) * dt + fwd * c - left * s
+    H[LAG] = x[V] * cm - across * sm + wz * (-fwd * s - left * c) + swing
+    return x[at] + x[slow] + (x[V] * cm - across * sm) * dt + fwd * c - left * s
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def predict_velocity(kind, x, node, p, H):  # type: ignore[no-untyped-def]
     """East or north velocity of the tractor's antenna at the node; fills H."""
-    wz = node[U_WZ] - x[BGZ]
+    wz = (node[U_WZ] - x[BGZ]) * (1.0 - x[SCALE1])
     roll_rate, pitch_rate = node[U_WX] - x[BGX], node[U_WY] - x[BGY]
     tilt = p[P_TILT]
     fwd, left, left_roll, fwd_roll, fwd_pitch = antenna_offset(
@@ -255,21 +272,22 @@ def predict_velocity(kind, x, node, p, H):  # type: ignore[no-untyped-def]
     quarter = 0.5 * math.pi if kind > VEL_X else 0.0
     c, s = math.cos(x[YAW1] - quarter), math.sin(x[YAW1] - quarter)
     along = x[V] - wz * left + tilt * (fwd_pitch * pitch_rate + fwd_roll * roll_rate)
-    across = x[SLIP1] + wz * fwd + tilt * left_roll * roll_rate
+    across = x[SLIP1] + x[TURN1] + wz * fwd + tilt * left_roll * roll_rate
     H[:] = 0.0
     H[YAW1] = -along * s - across * c
-    H[V], H[SLIP1] = c, -s
+    H[V], H[SLIP1], H[TURN1] = c, -s, -s
     H[BGZ] = left * c + fwd * s
     H[BGX] = -tilt * (fwd_roll * c - left_roll * s)
     H[BGY] = -tilt * fwd_pitch * c
     return along * c - across * s
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def predict_second(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
     """East or north of an antenna on the seeder; fills H."""
     dt = ahead + x[LAG]
-    w1, w2 = node[U_WZ] - x[BGZ], node[U_W2] - x[BGZ2]
+    w1 = (node[U_WZ] - x[BGZ]) * (1.0 - x[SCALE1])
+    w2 = (node[U_W2] - x[BGZ2]) * (1.0 - x[SCALE2])
     fwd, left, _, _, _ = antenna_offset(
         p[P_TILT] * node[N_ROLL2], p[P_TILT] * node[N_PITCH2], p[P_ANT2_X], p[P_ANT2_Y], p[P_ANT2_Z] + p[P_SWAY2]
     )
@@ -282,35 +300,39 @@ def predict_second(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
     d = p[P_HITCH]
     H[:] = 0.0
     H[at], H[slow] = 1.0, 1.0
-    H[YAW1] = d * s1 - (x[V] * s1 + x[SLIP1] * c1) * dt
+    across = x[SLIP1] + x[TURN1]
+    H[YAW1] = d * s1 - (x[V] * s1 + across * c1) * dt
     H[YAW2] = -fwd * s2 - left * c2
-    H[V], H[SLIP1] = c1 * dt, -s1 * dt
-    H[LAG] = x[V] * c1 - x[SLIP1] * s1 + w1 * d * s1 - w2 * (fwd * s2 + left * c2)
-    return x[at] + x[slow] + (x[V] * c1 - x[SLIP1] * s1) * dt - d * c1 + fwd * c2 - left * s2
+    H[V], H[SLIP1], H[TURN1] = c1 * dt, -s1 * dt, -s1 * dt
+    H[LAG] = x[V] * c1 - across * s1 + w1 * d * s1 - w2 * (fwd * s2 + left * c2)
+    return x[at] + x[slow] + (x[V] * c1 - across * s1) * dt - d * c1 + fwd * c2 - left * s2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def predict_hitch(x, node, p, H):  # type: ignore[no-untyped-def]
-    """Lateral velocity at the seeder's axle less SLIP2: zero, for the hitch is rigid; fills H."""
+    """Lateral velocity at the seeder's axle less its slip: zero, for the hitch is rigid; fills H."""
     bend = x[YAW1] - x[YAW2]
     c, s = math.cos(bend), math.sin(bend)
-    across = x[SLIP1] - p[P_HITCH] * (node[U_WZ] - x[BGZ])
+    w1, w2 = node[U_WZ] - x[BGZ], node[U_W2] - x[BGZ2]
+    across = x[SLIP1] + x[TURN1] - p[P_HITCH] * w1 * (1.0 - x[SCALE1])
     H[:] = 0.0
+    H[SCALE1], H[SCALE2] = p[P_HITCH] * w1 * c, p[P_AXLE2] * w2
+    H[TURN1], H[TURN2] = c, -1.0
     H[V], H[SLIP1], H[SLIP2] = s, c, -1.0
     H[BGZ], H[BGZ2] = p[P_HITCH] * c, p[P_AXLE2]
     H[YAW1] = x[V] * c - across * s
     H[YAW2] = -H[YAW1]
-    return x[V] * s + across * c - p[P_AXLE2] * (node[U_W2] - x[BGZ2]) - x[SLIP2]
+    return x[V] * s + across * c - p[P_AXLE2] * w2 * (1.0 - x[SCALE2]) - x[SLIP2] - x[TURN2]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def predict_lateral(x, node, H):  # type: ignore[no-untyped-def]
     """Lateral specific force at the rear axle that the motion and the tilt explain; fills H.
 
     f_y = a_left/cos roll + f_z tan roll with a_left = V·yaw': what is left over is vibration.
     """
     c, t = math.cos(x[ROLL]), math.tan(x[ROLL])
-    wz = node[U_WZ] - x[BGZ]
+    wz = (node[U_WZ] - x[BGZ]) * (1.0 - x[SCALE1])
     H[:] = 0.0
     H[V], H[BGZ] = wz / c, -x[V] / c
     H[ROLL] = (GRAVITY + x[V] * wz * t * c) / (c * c)
@@ -318,7 +340,7 @@ def predict_lateral(x, node, H):  # type: ignore[no-untyped-def]
     return x[V] * wz / c + GRAVITY * t + x[BAY]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def predict(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
     """Expected value of one scalar measurement and its row H (SIZE,)."""
     if kind <= FLOAT_X + 1 or kind >= THIRD_X:
@@ -350,7 +372,7 @@ def predict(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
     return x[state]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _still(kind):  # type: ignore[no-untyped-def]
     """State that a standing machine or the ground's slope shows directly."""
     if kind == STILL_V:

@@ -60,6 +60,11 @@ def at_utc(t: Floats, grid: Floats, lag: float, x: Floats, P: Floats, tilt2: tup
     return Smooth(at(x), at(P), at(rate1), at(rate2), at(tilt2[0]), at(tilt2[1]))
 
 
+def slip_velocity(m: Smooth) -> Floats:
+    """Lateral velocity at the rear axle (N,), m/s."""
+    return np.asarray(m.x[:, s.SLIP1] + m.x[:, s.TURN1])
+
+
 def tractor_jacobian(m: Smooth, p: Floats) -> Floats:
     """d(x1, y1, yaw1, v1, v_lateral1, yaw_rate1)/d(kept state), (N, 6, kept)."""
     c, sn = np.cos(m.x[:, s.YAW1]), np.sin(m.x[:, s.YAW1])
@@ -69,7 +74,7 @@ def tractor_jacobian(m: Smooth, p: Floats) -> Floats:
     J[:, 0, K_ROLL], J[:, 1, K_ROLL] = p[s.P_SWAY] * sn, -p[s.P_SWAY] * c
     J[:, 0, K_PITCH], J[:, 1, K_PITCH] = p[s.P_SWAY] * c, p[s.P_SWAY] * sn
     J[:, 4, K_BGZ], J[:, 5, K_BGZ] = -p[s.P_REAR], -1.0
-    across = m.x[:, s.SLIP1] + p[s.P_REAR] * m.rate1
+    across = slip_velocity(m) + p[s.P_REAR] * m.rate1
     J[:, 0, K_LAG] = m.x[:, s.V] * c - across * sn
     J[:, 1, K_LAG] = m.x[:, s.V] * sn + across * c
     J[:, 2, K_LAG] = m.rate1
@@ -82,7 +87,7 @@ def seeder_jacobian(m: Smooth, p: Floats) -> Floats:
     c2, s2 = np.cos(m.x[:, s.YAW2]), np.sin(m.x[:, s.YAW2])
     d, l5 = p[s.P_HITCH], p[s.P_COM2]
     bend = m.x[:, s.YAW1] - m.x[:, s.YAW2]
-    across = m.x[:, s.SLIP1] - d * m.rate1
+    across = slip_velocity(m) - d * m.rate1
     J = np.zeros((m.x.shape[0], BODY, len(KEPT)))
     J[:, 0, K_X] = J[:, 1, K_Y] = J[:, 2, K_YAW2] = 1.0
     J[:, 0, K_YAW1], J[:, 1, K_YAW1] = d * s1, -d * c1
@@ -128,7 +133,7 @@ def tractor_motion(m: Smooth, p: Floats, crab: float, lateral: Floats | None) ->
         y=x[:, s.Y] + forward * sn + left * c,
         yaw=x[:, s.YAW1].copy(),
         v=x[:, s.V].copy(),
-        v_lateral=x[:, s.SLIP1] + p[s.P_REAR] * m.rate1,
+        v_lateral=slip_velocity(m) + p[s.P_REAR] * m.rate1,
         yaw_rate=m.rate1,
         covariance=C,
         roll=x[:, s.ROLL].copy(),
@@ -145,7 +150,7 @@ def seeder_motion(m: Smooth, p: Floats, crab: float, lateral: Floats | None) -> 
     forward = -p[s.P_COM2] + p[s.P_SWAY2] * np.sin(m.pitch2) * np.cos(m.roll2)
     left = -p[s.P_SWAY2] * np.sin(m.roll2)
     bend = x[:, s.YAW1] - x[:, s.YAW2]
-    across = x[:, s.SLIP1] - p[s.P_HITCH] * m.rate1
+    across = slip_velocity(m) - p[s.P_HITCH] * m.rate1
     C = _covariance(seeder_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO2]), crab, physics.LEVER_SD)
     return BodyMotion(
         x=x[:, s.X] - p[s.P_HITCH] * c1 + forward * c2 - left * s2,

@@ -140,9 +140,10 @@ def parameters_of(manifest: Manifest, epochs: Sequence[Epochs], one: BodyInputs,
     p[[s.P_ANT_X, s.P_ANT_Y, s.P_ANT_Z]] = manifest.sensors[main.name].position
     p[s.P_SWAY] = sway(tractor)
     p[s.P_HITCH] = tractor.hitch - tractor.rear_axle
-    p[s.P_TAU_SLIP], p[s.P_COMPLIANCE], p[s.P_TAU_E] = physics.TAU_SLIP, physics.COMPLIANCE, physics.TAU_GNSS
+    p[s.P_TAU_SLIP], p[s.P_COMPLIANCE], p[s.P_TAU_E] = physics.TAU_SLIP, physics.COMPLIANCE_FAST, physics.TAU_GNSS
     p[s.P_GYRO1], p[s.P_ACCEL] = one.gyro_noise, one.accel_noise
     p[s.P_KAPPA_WALK], p[s.P_KAPPA_DRIVE] = physics.WHEEL_WALK, physics.WHEEL_DRIVE
+    p[s.P_TURN] = physics.COMPLIANCE
     p[s.P_BIAS_WALK], p[s.P_TILT] = physics.BIAS_WALK, 1.0
     if seeder is not None and two is not None:
         p[s.P_SEEDER], p[s.P_GYRO2] = 1.0, two.gyro_noise
@@ -158,6 +159,7 @@ def parameters_of(manifest: Manifest, epochs: Sequence[Epochs], one: BodyInputs,
 def with_levels(p: Floats, levels: Levels, epochs: Sequence[Epochs]) -> Floats:
     """Parameters at other levels: slips, and the slow share of the receivers' stated deviations."""
     p = p.copy()
+    p[s.P_FORWARD] = levels.forward * p[s.P_ACCEL]
     p[s.P_BETA1], p[s.P_BETA2] = levels.beta1, levels.beta2
     main = next(e for e in epochs if e.first)
     p[s.P_SD_E] = _slow(main.sd[main.fixed], levels.white_fixed)
@@ -295,7 +297,8 @@ def _motion(nodes: Floats, still: NDArray[np.bool_], levels: Levels, p: Floats, 
     if wheel is not None:
         k = np.arange(0, nodes.shape[0], EVERY_WHEEL)
         k = k[~still[k] & np.isfinite(wheel.speed[k])]
-        parts.append(_part(s.WHEEL, k, wheel.speed[k], wheel.sd[k] ** 2 + levels.wheel**2))
+        doubt = wheel.sd[k] / max(float(np.median(wheel.sd[k])), 1e-9) if k.size else wheel.sd[k]
+        parts.append(_part(s.WHEEL, k, wheel.speed[k], (levels.wheel * doubt) ** 2))
     return parts
 
 
@@ -375,9 +378,10 @@ def starting_state(
     sd[[s.X, s.Y]], sd[[s.YAW1, s.YAW2]], sd[s.V], sd[s.SLIP1] = 5.0, 0.3, 1.0, 0.05
     sd[[s.ROLL, s.PITCH]], sd[[s.BGX, s.BGY, s.BGZ]], sd[[s.BAX, s.BAY]] = 0.1, gyro, accel
     sd[[s.EX, s.EY]], sd[[s.FX, s.FY]], sd[[s.GX, s.GY]] = p[s.P_SD_E], p[s.P_SD_F], p[s.P_SD_G]
+    sd[s.SCALE1] = physics.GYRO_SCALE
     sd[s.LAG], sd[s.KAPPA], sd[s.HEADING] = lag_sd, physics.RADIUS_SD, physics.HEADING_SD
     if p[s.P_SEEDER] > 0.0:
-        sd[s.BGZ2], sd[s.SLIP2] = physics.GYRO_BIAS, 0.05
+        sd[s.BGZ2], sd[s.SLIP2], sd[s.SCALE2] = physics.GYRO_BIAS, 0.05, physics.GYRO_SCALE
     else:
         sd[s.YAW2] = 0.0
     return x, np.diag(sd**2)

@@ -36,6 +36,7 @@ class Levels:
     velocity : m/s, of a GNSS velocity component
     lateral : 1, factor on the accelerometer's noise in the tilt measurement
     hitch : 1, factor on the gyros' noise in the measurement at the seeder's axle
+    forward : 1, factor on the accelerometer's noise along the way
     wheel : m/s, white error of the wheels' speed
     """
 
@@ -48,20 +49,27 @@ class Levels:
     lateral: float = 1.5
     hitch: float = 0.5
     wheel: float = 0.03
+    forward: float = 1.0
 
 
 # Physical constants of the error models, each with its reason.
 TAU_SLIP = 1.0  # s: yaw and slip of a tractor settle within about a second
 COMPLIANCE = 0.02  # rad/(m/s²): axle load over cornering stiffness, about 2500 kg / (2 · 70 kN/rad)
+COMPLIANCE_FAST = 0.01  # rad/(m/s²): what of it changes from second to second
+TAU_TURN = 10.0  # s: a headland turn's slip stays as long as the turn
+DRAG = 0.08  # rad/rad: draft across the tractor when it is bent, 10 kN over 2 · 90 kN/rad, times the hitch's lever
+BEND_FROM = 0.03  # rad of articulation: a row stays below
+TURN_FROM = 0.15  # m/s² of lateral acceleration: a weave along a row stays below
 TAU_GNSS = 40.0  # s: multipath and residual atmosphere of a moving RTK receiver, tens of seconds
 WHEEL_WALK = 0.003  # 1/sqrt(s): wheel slip follows soil and draft, by a percent in ten seconds
 WHEEL_DRIVE = 0.05  # 1/sqrt(s) per m/s²: and traction, by some percent while the machine gathers speed
 RADIUS_SD = 0.10  # 1: effective against stated rolling radius, and mean slip under draft
 GYRO_BIAS = 0.02  # rad/s, MEMS turn-on bias (about 1 °/s) when the manifest states none
-ACCEL_BIAS = 0.15  # m/s²: MEMS offset of 10 to 15 mg and half a degree of mounting, when none is stated
+ACCEL_BIAS = 0.20  # m/s²: MEMS offset (data sheets: 20 to 60 mg, some of it calibrated away) and mounting
 SLOPE = 0.005  # rad: least standard deviation of a field's cross slope where altitudes show none along
 ROUGH = 0.02  # rad: roll and pitch of a machine on rough ground, about a second long
 ROUGH_TIME = 1.0  # s
+GYRO_SCALE = 0.005  # 1: MEMS scale error by data sheets, 0.5 to 1 %
 BIAS_WALK = 2.0e-6  # rad/s/sqrt(s): MEMS bias instability of about 10 °/h over minutes
 LEVER_SD = 0.003  # m: antenna and centre-of-mass positions by tape
 HEADING_SD = 0.003  # rad: a dual antenna's baseline against the body's axis

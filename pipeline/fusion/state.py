@@ -14,7 +14,7 @@ X: Final = 0  # m, East, centre of the tractor's rear axle
 Y: Final = 1  # m, North
 YAW1: Final = 2  # rad
 V: Final = 3  # m/s, forward
-SLIP1: Final = 4  # m/s, lateral (left) at the rear axle
+SLIP1: Final = 4  # m/s, lateral (left) at the rear axle, fast part
 ROLL: Final = 5  # rad, tractor
 PITCH: Final = 6  # rad, tractor
 BGX: Final = 7  # rad/s, tractor's gyro biases, body axes
@@ -34,12 +34,17 @@ KAPPA: Final = 20  # 1, wheel speed over true speed, less one
 HEADING: Final = 21  # rad, constant error of a dual-antenna heading
 GX: Final = 22  # m, slow error of a second receiver
 GY: Final = 23
-SIZE: Final = 24
+SCALE1: Final = 24  # 1, scale error of the tractor's vertical gyro
+SCALE2: Final = 25  # 1, of the seeder's
+TURN1: Final = 26  # m/s, slow lateral velocity at the rear axle while turning hard
+TURN2: Final = 27  # m/s, the same at the seeder's axle
+SIZE: Final = 28
 
 STATE_NAMES: Final = (
     "x", "y", "yaw1", "v", "slip1", "roll", "pitch", "gyro_bias_x", "gyro_bias_y", "gyro_bias_z",
     "accel_bias_x", "accel_bias_y", "yaw2", "gyro_bias_z2", "slip2", "gnss_slow_x", "gnss_slow_y",
-    "gnss_float_x", "gnss_float_y", "lag", "wheel_scale", "heading_bias", "gnss2_slow_x", "gnss2_slow_y",
+    "gnss_float_x", "gnss_float_y", "lag", "wheel_scale", "heading_bias", "gnss2_slow_x", "gnss2_slow_y", "gyro_scale1", "gyro_scale2",
+    "turn_slip1", "turn_slip2",
 )  # fmt: skip
 
 # Of the smoothed covariance these rows and columns are kept: all that the bodies' motion needs.
@@ -70,11 +75,13 @@ P_KAPPA_DRIVE: Final = 20  # 1/sqrt(s) per m/s² of acceleration: slip follows t
 P_ANT2_X: Final = 21  # m, second antenna from its body's CoM
 P_ANT2_Y: Final = 22
 P_ANT2_Z: Final = 23
+P_FORWARD: Final = 29  # m/s²/sqrt(Hz), noise of the forward acceleration
+P_TURN: Final = 28  # rad/(m/s²), slow slip angle of a turn by lateral acceleration
 P_BIAS_WALK: Final = 24  # rad/s/sqrt(s), of gyro biases
 P_SEEDER: Final = 25  # 1 when there is a seeder
 P_TILT: Final = 26  # 1: antenna's sway is compensated by roll and pitch; 0 only to show what that is worth
 P_SWAY2: Final = 27  # m, seeder's CoM above its roll centre
-P_SIZE: Final = 28
+P_SIZE: Final = 30
 
 # Inputs of a step from node k to k + 1 (means over the step), body axes at the rear axle -----------------------
 U_WX: Final = 0  # rad/s

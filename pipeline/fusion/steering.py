@@ -6,7 +6,6 @@ Only `Motion.steer` may see this; the replay is driven by `steer_input`, which k
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from . import settings as physics
@@ -14,11 +13,10 @@ from .motion import BodyMotion, SteerInput
 
 Floats = NDArray[np.float64]
 
-EVERY = 10  # nodes: 5 Hz is enough for what is slow
+EVERY = 25  # nodes: 2 Hz is enough for what is slow
 SLOWEST = 0.7  # m/s: no kinematic angle below
 FRONT_SLIP = 0.006  # rad: least standard deviation of the front wheels' slip angle
 WHITE = 0.003  # rad, of a kinematic angle at one instant
-STEER_SIZE = 3  # slow error, zero, front slip
 
 
 def kinematic_angle(body: BodyMotion, front_axle: float) -> Floats:
@@ -31,8 +29,7 @@ def kinematic_angle(body: BodyMotion, front_axle: float) -> Floats:
     return np.where(usable, np.arctan(across / np.where(usable, body.v, 1.0)), np.nan)
 
 
-@njit(cache=True)
-def smooth_error(z, var, decay, drive, P0):  # type: ignore[no-untyped-def]
+def smooth_error(z: Floats, var: float, decay: Floats, drive: Floats, P0: Floats) -> tuple[Floats, Floats]:
     """Rauch-Tung-Striebel smoother of (slow error, zero, slip) with z = slow error + zero + slip + white.
 
     decay, drive : (N, 3) of the step that ends at each sample; z NaN where there is none.

@@ -23,7 +23,7 @@ PRIOR_FACTOR = 3.0  # one standard deviation of the prior, as a factor
 BOUNDS: Mapping[str, tuple[float, float]] = {
     "beta1": (0.0008, 0.06), "beta2": (0.0008, 0.10), "white_fixed": (0.15, 1.5), "white_float": (0.02, 1.5),
     "white_second": (0.15, 1.5), "velocity": (0.01, 1.0), "lateral": (0.7, 20.0), "hitch": (0.15, 20.0),
-    "wheel": (0.005, 0.5),
+    "forward": (0.1, 10.0), "wheel": (0.002, 0.5),
 }  # fmt: skip
 FACTORS = (2.0, 1.4, 1.2)  # of successive sweeps
 
