@@ -7,17 +7,22 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
+from .manifest import GRAVITY
 from .raw import Floats, Ints, RawError, Rejected
 from .streams import Warn
 from .tables import Bools, Table
 
 SECONDS = {"ns": 1.0e-9, "us": 1.0e-6, "ms": 1.0e-3, "s": 1.0}
+AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 MOST = 0.5  # of the rows must be usable
 YEAR_2000, YEAR_2100 = 946_684_800, 4_102_444_800
 STUCK_SECONDS = 1.0  # identical readings on all axes for longer are a frozen unit
 STILL_SECONDS = 10.0  # one axis that shows one value for longer, while others move
 PILE = 10  # samples at an axis's extreme value, and more than this share of those just below it, are clipped
 NEAR_EXTREME = 0.02
+ACCEL_LIMIT = 2000.0  # m/s²: 200 g, above any unit for vehicles
+GYRO_LIMIT = 150.0  # rad/s: 8600 deg/s
+CLIPPED_FROM = (2.0 * GRAVITY, 2.0)  # m/s², rad/s: an extreme below this is no full scale
 ISOLATED = 1.0  # s: a single stamp so far from its neighbours is corrupt
 
 
@@ -90,6 +95,30 @@ def check_host_scale(host_ns: Ints, table: Table, column: str, unit: str) -> Non
             )
 
 
+def sound_readings(
+    table: Table, timed: Bools, accel: Floats, gyro: Floats, rate: float, name: str
+) -> tuple[Bools, tuple[Warn, ...]]:
+    """Rows of an inertial unit that can be used, and what was wrong with the others.
+
+    timed : (N,) where the row has a time; accel, gyro : (N, 3) m/s², rad/s
+
+    Raises RawError when half of the rows or more cannot be used.
+    """
+    readings = np.hstack([accel, gyro])
+    with np.errstate(invalid="ignore"):
+        beyond = (np.abs(accel) > ACCEL_LIMIT).any(axis=1) | (np.abs(gyro) > GYRO_LIMIT).any(axis=1)
+    checks = [
+        ("without a usable time", timed),
+        ("with an empty or non-numeric value", np.isfinite(readings).all(axis=1)),
+        ("beyond what such a unit can read", ~beyond),
+        ("with zero on every axis", (readings != 0.0).any(axis=1)),
+        ("that repeat one reading (the unit froze)", ~frozen(readings, rate)),
+    ]
+    keep, dropped = kept_rows(table, checks, name)
+    doubts = doubtful_axes(readings[keep], table.rows[keep], rate, table.file, name)
+    return keep, (*dropped, *doubts)
+
+
 def frozen(readings: Floats, rate: float) -> Bools:
     """Where all axes repeat the row before, in a run longer than STUCK_SECONDS: (N, k) readings to (N,)."""
     same = np.zeros(readings.shape[0], dtype=np.bool_)
@@ -109,22 +138,19 @@ def _long_runs(flags: Bools, least: int) -> Bools:
     return np.asarray(np.cumsum(marks)[:-1] > 0)
 
 
-def doubtful_axes(
-    readings: Floats, names: Sequence[str], rows: Ints, rate: float, active: Floats, file: str, name: str
-) -> list[Warn]:
-    """Warnings for axes that are clipped or stand still while the unit moves; such samples are kept.
+def doubtful_axes(readings: Floats, rows: Ints, rate: float, file: str, name: str) -> list[Warn]:
+    """Warnings for axes that are clipped, or stand still while the unit moves; such samples are kept.
 
-    readings : (N, k), one column an axis of `names`; active : (k,) below this an extreme is no clipping
+    readings : (N, 6) m/s² and rad/s
     """
     found = []
-    for axis, label, least in zip(readings.T, names, active, strict=True):
-        clipped = _clipped(axis, float(least))
+    for column, (axis, label) in enumerate(zip(readings.T, AXES, strict=True)):
+        clipped = _clipped(axis, CLIPPED_FROM[column // 3])
         if clipped.any():
-            what = (
-                f"{rows_of(int(clipped.sum()), 'sample')} of {label} at its extreme {np.abs(axis).max():.4g}"
-            )
+            extreme = f"{label} at its extreme {np.abs(axis).max():.4g}"
+            what = f"{rows_of(int(clipped.sum()), 'sample')} of {extreme}: saturated"
             row = int(rows[np.argmax(clipped)])
-            found.append(Warn(f"{what}: saturated", "kept; the true values are larger", name, file, row))
+            found.append(Warn(what, "kept; the true values are larger", name, file, row))
         still = _long_runs(np.diff(axis, prepend=np.nan) == 0.0, max(round(STILL_SECONDS * rate), 5))
         if still.any():
             what = f"{label} shows one value for {rows_of(int(still.sum()), 'sample')} or more"

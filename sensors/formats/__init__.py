@@ -9,6 +9,15 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import imu_csv, nmea, steer_csv
+from . import gcsv, gnss_csv, imu_csv, nmea, rtklib_pos, sensor_logger, steer_csv, ubx
 
-FORMATS: tuple[ModuleType, ...] = (imu_csv, steer_csv, nmea)
+FORMATS: tuple[ModuleType, ...] = (
+    gcsv,
+    sensor_logger,
+    imu_csv,
+    steer_csv,
+    ubx,
+    rtklib_pos,
+    gnss_csv,
+    nmea,
+)

@@ -9,15 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..checks import (
-    SECONDS,
-    check_host_scale,
-    doubtful_axes,
-    frozen,
-    kept_rows,
-    not_isolated,
-    times_ns,
-)
+from ..checks import SECONDS, check_host_scale, not_isolated, sound_readings, times_ns
 from ..manifest import GRAVITY, Imd, Sensor, Units, Wds
 from ..presets import PRESETS
 from ..raw import Floats, Ints, RawError, RawImu
@@ -31,8 +23,6 @@ COLUMNS = (*WHOLE, *ACCEL, *GYRO, *MAG)
 ACCEL_UNITS = {"m/s2": 1.0, "g": GRAVITY}
 GYRO_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
 MAG_UNITS = {"T": 1.0, "uT": 1.0e-6, "gauss": 1.0e-4}
-ACCEL_LIMIT = 2000.0  # m/s²: 200 g, above any unit for vehicles
-GYRO_LIMIT = 150.0  # rad/s: 8600 deg/s
 MAG_LIMIT = 0.1  # T
 SPAN = 2**32
 
@@ -104,29 +94,18 @@ def _samples(table: Table, layout: Layout, rate: float, name: str) -> RawImu:
     times, timed, warnings = _times(table, layout, name)
     accel = _vectors(table, layout, ACCEL) * ACCEL_UNITS[layout.units.accel]
     gyro = _vectors(table, layout, GYRO) * GYRO_UNITS[layout.units.gyro]
-    readings = np.hstack([accel, gyro])
-    checks = [
-        ("without a usable time", timed),
-        ("with an empty or non-numeric value", np.isfinite(readings).all(axis=1)),
-        ("beyond what such a unit can read", ~_absurd(accel, gyro)),
-        ("with zero on every axis", (readings != 0.0).any(axis=1)),
-        ("that repeat one reading (the unit froze)", ~frozen(readings, rate)),
-    ]
-    keep, dropped = kept_rows(table, checks, name)
-    least = np.repeat([2.0 * GRAVITY, 2.0], 3)
-    rows = table.rows[keep]
-    doubts = doubtful_axes(readings[keep], (*ACCEL, *GYRO), rows, rate, least, table.file, name)
+    keep, faults = sound_readings(table, timed, accel, gyro, rate, name)
     return RawImu(
         times.host_ns[keep],
         None if times.counter is None else times.counter[keep],
         times.tick,
         times.span,
         None if times.seq is None else times.seq[keep],
-        rows,
+        table.rows[keep],
         accel[keep],
         gyro[keep],
         _magnetic(table, layout, keep),
-        (*warnings, *dropped, *doubts),
+        (*warnings, *faults),
     )
 
 
@@ -195,8 +174,3 @@ def _magnetic(table: Table, layout: Layout, keep: Bools) -> Floats | None:
     field = _vectors(table, layout, MAG)[keep] * MAG_UNITS[layout.units.mag]
     field = np.where(np.abs(field) < MAG_LIMIT, field, np.nan)
     return None if np.isnan(field).all() else field
-
-
-def _absurd(accel: Floats, gyro: Floats) -> Bools:
-    with np.errstate(invalid="ignore"):
-        return np.asarray((np.abs(accel) > ACCEL_LIMIT).any(axis=1) | (np.abs(gyro) > GYRO_LIMIT).any(axis=1))

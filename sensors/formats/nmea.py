@@ -19,9 +19,10 @@ DAY = 86400.0
 HALF_DAY = 43200.0
 KNOT = 1852.0 / 3600.0
 KMH = 1.0 / 3.6
-KINDS = ("GGA", "RMC", "VTG", "GST", "HDT", "THS")
-GGA, RMC, VTG, GST, HDT, THS = range(6)
-TIMED = (GGA, RMC, GST)
+KINDS = ("GGA", "RMC", "VTG", "GST", "HDT", "THS", "PANDA", "PAOGI")
+GGA, RMC, VTG, GST, HDT, THS, PANDA, PAOGI = range(8)
+TIMED = (GGA, RMC, GST, PANDA, PAOGI)
+PLACED = (GGA, RMC, PANDA, PAOGI)
 TICKS = 1.0e3  # epochs are told apart to a millisecond
 WEEK_ROLLOVER = 1024 * 7  # days: a receiver that lost count of GPS weeks is off by multiples of this
 MODE_QUALITY = {"A": 1.0, "D": 2.0, "P": 3.0, "R": 4.0, "F": 5.0, "E": 6.0, "N": 0.0}
@@ -29,8 +30,8 @@ MODE_QUALITY = {"A": 1.0, "D": 2.0, "P": 3.0, "R": 4.0, "F": 5.0, "E": 6.0, "N":
 
 def reads(sensor: Sensor, path: Path, head: bytes) -> bool:
     """Whether this format is for that sensor's file."""
-    del path
-    return isinstance(sensor, Gps) and b"$" in head
+    del path, head
+    return isinstance(sensor, Gps)
 
 
 def read(path: Path, sensor: Sensor, name: str, date: dt.date) -> RawGnss:
@@ -49,7 +50,7 @@ def parse(text: bytes, file: str, name: str, date: dt.date) -> RawGnss:
     data = np.frombuffer(text, dtype=np.uint8)
     sentences, refused, passed_over = scan(data, KINDS)
     fields, sentences, refused = _understood(sentences, refused)
-    if not np.isin(sentences.kind, (GGA, RMC)).any():
+    if not np.isin(sentences.kind, PLACED).any():
         counts = ", ".join(f"{count} {reason}" for reason, count in refused.counts().items())
         raise RawError(f"{file}: no usable GGA or RMC sentence{f' ({counts})' if counts else ''}")
     utc, warnings = _utc(fields, sentences, date, file, name)
@@ -235,7 +236,37 @@ def _ths(part: _Part) -> dict[str, Floats]:
     return {"heading": np.where(valid, _to_yaw(part.number(1, -360.0, 360.0)), np.nan)}
 
 
-_READERS = {GGA: _gga, RMC: _rmc, VTG: _vtg, GST: _gst, HDT: _hdt, THS: _ths}
+def _panda(part: _Part) -> dict[str, Floats]:
+    """AgOpenGPS: GGA's fields up to the age of corrections, then speed in knots; no geoid separation."""
+    fixed = part.number(6, 0.0, 9.0) > 0.0
+    return {
+        "time_of_day": part.time_of_day(),
+        "lat": np.where(fixed, part.angle(2, 90.0, "S"), np.nan),
+        "lon": np.where(fixed, part.angle(4, 180.0, "W"), np.nan),
+        "alt": np.where(fixed, np.nan_to_num(part.number(9, -1.0e4, 1.0e5)), np.nan),
+        "quality": np.nan_to_num(part.number(6, 0.0, 9.0)),
+        "satellites": part.number(7, 0.0, 999.0),
+        "hdop": part.number(8, 0.0),
+        "speed": part.number(11, 0.0, 1000.0) * KNOT,
+        "geoid_missing": fixed.astype(np.float64),
+    }
+
+
+def _paogi(part: _Part) -> dict[str, Floats]:
+    """AgOpenGPS with two antennas: as `_panda`, and the true heading between them."""
+    return _panda(part) | {"heading": _to_yaw(part.number(12, -360.0, 360.0))}
+
+
+_READERS = {
+    GGA: _gga,
+    RMC: _rmc,
+    VTG: _vtg,
+    GST: _gst,
+    HDT: _hdt,
+    THS: _ths,
+    PANDA: _panda,
+    PAOGI: _paogi,
+}
 
 
 def _utc(
@@ -295,7 +326,7 @@ def _epochs(fields: Fields, sentences: Sentences, utc: Floats) -> RawGnss:
     ticks = np.rint(utc * TICKS).astype(np.int64)
     _, first, epoch = np.unique(ticks, return_index=True, return_inverse=True)
     values = {key: np.full(first.size, np.nan) for key in GnssStream.ARRAYS}
-    for kind in (RMC, VTG, GST, HDT, THS, GGA):
+    for kind in (RMC, PANDA, PAOGI, VTG, GST, HDT, THS, GGA):
         chosen = sentences.kind == kind
         for key in GnssStream.ARRAYS:
             said = chosen & ~np.isnan(fields.values[key])
@@ -321,5 +352,5 @@ def _altitude_warnings(fields: Fields, sentences: Sentences, file: str, name: st
     if not missing.any():
         return []
     row = int(sentences.row[np.argmax(missing)])
-    what = f"{int(missing.sum())} GGA sentences without altitude or geoid separation"
+    what = f"{int(missing.sum())} sentences without altitude or geoid separation"
     return [Warn(what, "taken as 0 m: altitudes are not ellipsoidal", name, file, row)]
