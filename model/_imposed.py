@@ -40,7 +40,7 @@ def trailed_derivative(
     vx2 = s[at.VX1] + l4 * s1 * w1 + l5 * s2 * w2
     vy2 = s[at.VY1] - l4 * c1 * w1 - l5 * c2 * w2
     fx, fy, moment = seeder_force(c2 * vx2 + s2 * vy2, c2 * vy2 - s2 * vx2, w2, s, p, options, rate)
-    add_distance_force(s[at.DISTANCE], p, tables, row, u)
+    add_distance_force(s[at.DISTANCE], p, tables.distance_force[row], tables.spacing, u)
     fx += u[at.FORCE_NOW + 3]
     fy += u[at.FORCE_NOW + 4]
     moment += u[at.FORCE_NOW + 5]

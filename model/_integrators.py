@@ -49,20 +49,20 @@ def finish_step(
     tables: Tables, options: Options, step: float, u: Floats, k: Floats, trial: Floats,
 ) -> None:  # fmt: skip
     """Runge–Kutta 4 from t to t + h, its first slope k[0] being known; leaves u at t + h."""
-    row = int(change[at.FORCE_ROW])
+    ground, spacing = tables.distance_force[int(change[at.FORCE_ROW])], tables.spacing
     load_inputs(
         t + 0.5 * h, steering(t + 0.5 * h, memory, driver, change, tables, step), p, change, tables, u
     )
     for i in range(size):
         trial[i] = s[i] + 0.5 * h * k[0, i]
-    derivative(trial, p, u, tables, row, options, k[1])
+    derivative(trial, p, u, ground, spacing, options, k[1])
     for i in range(size):
         trial[i] = s[i] + 0.5 * h * k[1, i]
-    derivative(trial, p, u, tables, row, options, k[2])
+    derivative(trial, p, u, ground, spacing, options, k[2])
     for i in range(size):
         trial[i] = s[i] + h * k[2, i]
     load_inputs(t + h, steering(t + h, memory, driver, change, tables, step), p, change, tables, u)
-    derivative(trial, p, u, tables, row, options, k[3])
+    derivative(trial, p, u, ground, spacing, options, k[3])
     for i in range(size):
         s[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
 
@@ -76,7 +76,9 @@ def fixed_span(
     parts = substeps(s, p, h, options.largest_rate)
     for part in range(parts):
         if part > 0:
-            derivative(s, p, u, tables, int(change[at.FORCE_ROW]), options, k[0])
+            derivative(
+                s, p, u, tables.distance_force[int(change[at.FORCE_ROW])], tables.spacing, options, k[0]
+            )
         finish_step(
             t + part * h / parts, h / parts, s, size, p, driver, memory, change, tables, options, h, u, k,
             trial
@@ -90,6 +92,7 @@ def trial_step(
 ) -> float:  # fmt: skip
     """One Dormand–Prince step into trial, its first slope k[0] being known; gives its error over the
     tolerance."""
+    ground = tables.distance_force[int(change[at.FORCE_ROW])]
     for stage in range(1, 7):
         for i in range(size):
             slope = 0.0
@@ -98,7 +101,7 @@ def trial_step(
             trial[i] = s[i] + h * slope
         now = t + NODES[stage] * h
         load_inputs(now, steering(now, memory, driver, change, tables, step), p, change, tables, u)
-        derivative(trial, p, u, tables, int(change[at.FORCE_ROW]), options, k[stage])
+        derivative(trial, p, u, ground, tables.spacing, options, k[stage])
     worst = 0.0
     for i in range(size):
         error = 0.0
@@ -187,7 +190,8 @@ def run(
         np.zeros((7, FULL_SIZE)),
     )
     s[: at.STATE_SIZE] = initial
-    start, row, period = change[at.START], int(change[at.FORCE_ROW]), max(int(driver[at.PERIOD_STEPS]), 1)
+    start, period = change[at.START], max(int(driver[at.PERIOD_STEPS]), 1)
+    ground = tables.distance_force[int(change[at.FORCE_ROW])]
     memory[TICK] = start
     u[at.FORCE_FACTOR] = change[at.FORCE_SCALE]
     guess = h
@@ -197,7 +201,7 @@ def run(
         t = start + step * h
         if driver[at.ACTIVE] > 0.0 and step % period == 0:
             tick(t, s, p, driver, memory, tables, h)
-        derivative(s, p, u, tables, row, options, k[0])
+        derivative(s, p, u, ground, tables.spacing, options, k[0])
         if step % every == 0:
             if has_diverged(s):
                 return step // every

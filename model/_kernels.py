@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from . import _layout as at
-from ._layout import Floats, Options, Tables
+from ._layout import Floats, Options
 from .tyres import lateral_force
 
 FADE_SPEED = 0.05  # m/s, rolling resistance and draft fade in over this speed
@@ -33,7 +33,7 @@ SLOWEST = (
 FORCE, FORCE_NOW = at.FORCE, at.FORCE_NOW
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def fade(speed: float) -> float:
     """tanh(v / 0.05 m/s): a force against the motion that is gone at standstill."""
     if abs(speed) > 20.0 * FADE_SPEED:  # tanh(20) is 1 in double precision
@@ -41,7 +41,7 @@ def fade(speed: float) -> float:
     return math.tanh(speed / FADE_SPEED)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def wheel_force(
     forward: float,
     sideways: float,
@@ -80,7 +80,7 @@ def traction_demand(speed: float, p: Floats, u: Floats) -> float:
     return float(mass * wanted + p[at.RESISTANCE] * fade(asked))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def tractor_force(
     v: float, sideways: float, w: float, s: Floats, p: Floats, u: Floats, options: Options, rate: Floats
 ) -> tuple[float, float, float]:
@@ -106,7 +106,7 @@ def tractor_force(
     return sum_x, sum_y, moment
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def draft_force(
     v: float, sideways: float, w: float, p: Floats, options: Options
 ) -> tuple[float, float, float]:
@@ -120,7 +120,7 @@ def draft_force(
     return fx, fy, -point * fy
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def seeder_force(
     v: float, sideways: float, w: float, s: Floats, p: Floats, options: Options, rate: Floats
 ) -> tuple[float, float, float]:
@@ -188,7 +188,7 @@ def solve_by_cramer(
     solve_cramer(m, r, rate[VX1 : W2 + 1])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def solve_by_elimination(
     p: Floats, s1: float, c1: float, s2: float, c2: float, a34: float, a43: float,
     r1: float, r2: float, r3: float, r4: float, rate: Floats,
@@ -210,7 +210,7 @@ def solve_by_elimination(
     rate[W2] = alpha2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def accelerate(
     s: Floats, p: Floats, s1: float, c1: float, s2: float, c2: float,
     q1: float, q2: float, q3: float, q4: float, options: Options, rate: Floats,
@@ -246,26 +246,25 @@ def interpolate(table: Floats, place: float, column: int) -> float:
     return float(table[i, column] + (place - i) * (table[i + 1, column] - table[i, column]))
 
 
-@njit(cache=True, error_model="numpy")
-def add_distance_force(distance: float, p: Floats, tables: Tables, row: int, u: Floats) -> None:
+@njit(cache=True, error_model="numpy", inline="always")
+def add_distance_force(distance: float, p: Floats, ground: Floats, spacing: float, u: Floats) -> None:
     """Disturbance of this instant into u[FORCE_NOW..]: over time plus over distance; the seeder meets the
     latter when its own CoM gets there."""
     factor = u[at.FORCE_FACTOR]
     for i in range(at.FORCE_SIZE):
         u[at.FORCE_NOW + i] = factor * u[FORCE + i]
-    if tables.distance_force.shape[1] == 0:
+    if ground.shape[0] == 0:
         return
-    table, here = tables.distance_force[row], distance / tables.spacing
-    behind = (distance - p[HITCH] - p[L5]) / tables.spacing
+    here, behind = distance / spacing, (distance - p[HITCH] - p[L5]) / spacing
     for i in range(at.FORCE_SIZE):
-        u[at.FORCE_NOW + i] += factor * interpolate(table, here if i < 3 else behind, i)
+        u[at.FORCE_NOW + i] += factor * interpolate(ground, here if i < 3 else behind, i)
 
 
 @njit(cache=True, error_model="numpy")
 def derivative(
-    s: Floats, p: Floats, u: Floats, tables: Tables, row: int, options: Options, rate: Floats
+    s: Floats, p: Floats, u: Floats, ground: Floats, spacing: float, options: Options, rate: Floats
 ) -> None:
-    """Rate of the full state for the inputs u of this instant."""
+    """Rate of the full state for the inputs u of this instant; ground: disturbance over distance, (n, 6)."""
     s1, c1, s2, c2 = math.sin(s[YAW1]), math.cos(s[YAW1]), math.sin(s[YAW2]), math.cos(s[YAW2])
     vx, vy, w1, w2, l4, l5 = s[VX1], s[VY1], s[W1], s[W2], p[HITCH], p[L5]
     vx2 = vx + l4 * s1 * w1 + l5 * s2 * w2
@@ -273,7 +272,7 @@ def derivative(
     v1, v2 = c1 * vx + s1 * vy, c2 * vx2 + s2 * vy2
     bx1, by1, moment1 = tractor_force(v1, c1 * vy - s1 * vx, w1, s, p, u, options, rate)
     bx2, by2, moment2 = seeder_force(v2, c2 * vy2 - s2 * vx2, w2, s, p, options, rate)
-    add_distance_force(s[DISTANCE], p, tables, row, u)
+    add_distance_force(s[DISTANCE], p, ground, spacing, u)
     bx1, by1, moment1 = bx1 + u[FORCE_NOW], by1 + u[FORCE_NOW + 1], moment1 + u[FORCE_NOW + 2]
     bx2, by2, moment2 = bx2 + u[FORCE_NOW + 3], by2 + u[FORCE_NOW + 4], moment2 + u[FORCE_NOW + 5]
     fx2, fy2 = c2 * bx2 - s2 * by2, s2 * bx2 + c2 * by2

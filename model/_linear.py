@@ -39,7 +39,7 @@ def straight_rates(
     u[FORCE + 1], u[FORCE + 2], u[FORCE + 4], u[FORCE + 5] = (
         place[first + 1], place[first + 2], place[first + 3], place[first + 4],
     )  # fmt: skip
-    derivative(s, p, u, tables, 0, options, rate)
+    derivative(s, p, u, tables.distance_force[0], tables.spacing, options, rate)
     rows[0] = rate[at.VY1] - speed * place[1]
     rows[1], rows[2], rows[3] = rate[at.W1], rate[at.W2], place[1] - place[2]
     for i in range(at.MAX_WHEELS):

@@ -19,7 +19,7 @@ PROGRESS, FROM, TO, TICK, NEWEST, RING = range(6)
 RING_SIZE = 256
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def inner_angles(mean: float, ratio: float) -> float:
     """Half the difference of left and right front angle, so that their mean is `mean`, rad.
 
@@ -33,7 +33,7 @@ def inner_angles(mean: float, ratio: float) -> float:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def steering(t: float, memory: Floats, driver: Floats, change: Floats, tables: Tables, h: float) -> float:
     """Mean front angle at t: table (scaled, offset) plus the driver's ramp between its ticks."""
     place = (t - tables.t0) / tables.dt
@@ -45,7 +45,7 @@ def steering(t: float, memory: Floats, driver: Floats, change: Floats, tables: T
     return float(mean)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def line(table: Floats, place: float) -> float:
     """Linear interpolation in an equally spaced series, held beyond its ends."""
     last = table.shape[0] - 1
@@ -57,7 +57,7 @@ def line(table: Floats, place: float) -> float:
     return float(table[i] + (place - i) * (table[i + 1] - table[i]))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def load_inputs(t: float, mean: float, p: Floats, change: Floats, tables: Tables, u: Floats) -> None:
     """Inputs u at time t for the mean front angle."""
     place = (t - tables.t0) / tables.dt

@@ -55,7 +55,7 @@ def compiled_right_hand_side(machine, state, inputs, settings, slips=None):
     full[:8] = state
     if slips is not None:
         full[at.SLIP : at.SLIP + len(slips)] = slips
-    derivative(full, p, u, tables, 0, pack_options(settings), rate)
+    derivative(full, p, u, tables.distance_force[0], tables.spacing, pack_options(settings), rate)
     return rate[:8]
 
 
