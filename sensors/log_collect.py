@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,12 +12,13 @@ from numpy.typing import NDArray
 
 from .cdr import CdrError, Group, Layout, MessageType, decode, message_type
 from .mcap_messages import Batch, read_messages
-from .mcap_records import FRAME, MESSAGE_HEAD, McapError
+from .mcap_records import FRAME, MAX_RECORDS, MESSAGE_HEAD, McapError
 from .mcap_scan import Fault, Recording
 from .ros_messages import definition, is_known, short_name
 
 Values = dict[str, NDArray[Any]]
 Key = tuple[str, str]  # sensor and part: ("gps", "vel")
+MAX_FAULTS = 50
 FIRST_ROWS = 1024  # room made for a topic whose message count no summary tells
 
 
@@ -80,45 +82,56 @@ def _with_room(old: NDArray[Any], used: int, rows: int) -> NDArray[Any]:
     return grown
 
 
+def _numbers(group: Group, path: str, count: int | None = None) -> NDArray[Any]:
+    """A column that must be (n,), or (n, count). Raises CdrError when the schema says otherwise."""
+    leaf = group.layout.leaf(path)
+    if leaf.dtype == "S" or leaf.count != count:
+        raise CdrError(f"{group.layout.kind.name}: {path} is not what that type has there")
+    return group.column(path)
+
+
 def take_imu(group: Group) -> Values:
     """sensor_msgs/Imu: specific force (m/s²) and angular velocity (rad/s), (n, 3)."""
     return {
-        "specific_force": group.column("linear_acceleration"),
-        "angular_velocity": group.column("angular_velocity"),
+        "specific_force": _numbers(group, "linear_acceleration", 3),
+        "angular_velocity": _numbers(group, "angular_velocity", 3),
     }
 
 
 def take_mag(group: Group) -> Values:
     """sensor_msgs/MagneticField: field (T), (n, 3)."""
-    return {"magnetic_field": group.column("magnetic_field")}
+    return {"magnetic_field": _numbers(group, "magnetic_field", 3)}
 
 
 def take_fix(group: Group) -> Values:
     """sensor_msgs/NavSatFix: status, degrees, m, and variances in ENU (m²), (n, 3)."""
     return {
-        "status": group.column("status.status"),
-        "lat": group.column("latitude"),
-        "lon": group.column("longitude"),
-        "alt": group.column("altitude"),
-        "variance": group.column("position_covariance")[:, [0, 4, 8]],
-        "covariance_type": group.column("position_covariance_type"),
+        "status": _numbers(group, "status.status"),
+        "lat": _numbers(group, "latitude"),
+        "lon": _numbers(group, "longitude"),
+        "alt": _numbers(group, "altitude"),
+        "variance": _numbers(group, "position_covariance", 9)[:, [0, 4, 8]],
+        "covariance_type": _numbers(group, "position_covariance_type"),
     }
 
 
 def take_velocity(group: Group) -> Values:
     """geometry_msgs/TwistStamped or TwistWithCovarianceStamped in ENU: m/s."""
     twist = "twist" if "twist.linear.x" in group.layout.leaves else "twist.twist"
-    return {"east": group.column(f"{twist}.linear.x"), "north": group.column(f"{twist}.linear.y")}
+    return {"east": _numbers(group, f"{twist}.linear.x"), "north": _numbers(group, f"{twist}.linear.y")}
 
 
 def take_joints(names: Sequence[str]) -> Callable[[Group], Values]:
     """Positions of the named joints, NaN for those that a message lacks."""
 
     def take(group: Group) -> Values:
-        n = group.rows.size
         places = _joint_places(group)
-        positions = group.column("position") if places else np.empty((n, 0))
-        return {name: positions[:, places[name]] if name in places else np.full(n, np.nan) for name in names}
+        positions = group.column("position")
+        missing = np.full(group.rows.size, np.nan)
+        return {
+            name: positions[:, places[name]] if places.get(name, np.inf) < positions.shape[1] else missing
+            for name in names
+        }
 
     return take
 
@@ -146,23 +159,48 @@ def collect(
     topics are looked for under keys of the caller's; several keys may look at one topic.
     Raises LogError, naming file and topic, for a type that is not expected or a message that cannot be read.
     """
-    names = {topic.name for topic in topics.values()}
     found: dict[Key, Found] = {}
     faults: list[Fault] = []
     for recording in recordings:
-        faults += recording.faults
         _make_room(found, recordings, recording, topics)
         try:
-            for item in read_messages(recording, lambda channel: channel.topic in names):
-                if isinstance(item, Fault):
-                    faults.append(item)
-                    continue
-                for key, topic in topics.items():
-                    if topic.name == item.channel.topic:
-                        _add(found.setdefault(key, Found()), topic, item)
+            faults += _collect_one(recording, topics, found)
         except (CdrError, McapError) as error:
             raise LogError(f"{recording.path}: {error}") from None
-    return found, faults
+    return found, _few(faults)
+
+
+def _collect_one(recording: Recording, topics: Mapping[Key, Topic], found: dict[Key, Found]) -> list[Fault]:
+    """Add one file's messages to what was found; what is damaged in it."""
+    names = {topic.name for topic in topics.values()}
+    faults = list(recording.faults)
+    read: Counter[int] = Counter()
+    for item in read_messages(recording, lambda channel: channel.topic in names):
+        if isinstance(item, Fault):
+            faults.append(item)
+            continue
+        read[item.channel.id] += len(item.payloads)
+        for key, topic in topics.items():
+            if topic.name == item.channel.topic:
+                _add(found.setdefault(key, Found()), topic, item)
+    return faults or list(_miscounted(recording, read, names))
+
+
+def _miscounted(recording: Recording, read: Mapping[int, int], names: Collection[str]) -> Iterator[Fault]:
+    """Channels of which the summary tells another number of messages than were there."""
+    told = {} if recording.statistics is None else recording.statistics.channel_message_counts
+    for key, count in told.items():
+        channel = recording.channels.get(key)
+        if channel is not None and channel.topic in names and read.get(key, 0) != count:
+            what = f"the summary tells of {count} messages on {channel.topic}, {read.get(key, 0)} are there"
+            yield Fault(what, "those that are there were used")
+
+
+def _few(faults: list[Fault]) -> list[Fault]:
+    """Faults that a person can still read: the first ones, and how many more there are."""
+    if len(faults) <= MAX_FAULTS:
+        return faults
+    return [*faults[:MAX_FAULTS], Fault(f"{len(faults) - MAX_FAULTS} more of the kind", "see those before")]
 
 
 def _make_room(
@@ -185,7 +223,7 @@ def _room(recordings: Sequence[Recording], topic: str) -> int:
         )
         size = recording.data.size + sum(chunk.uncompressed_size for chunk in recording.chunks)
         possible += size // (FRAME + MESSAGE_HEAD)
-    return min(told, possible) or FIRST_ROWS
+    return min(told, possible, MAX_RECORDS) or FIRST_ROWS
 
 
 def _add(found: Found, topic: Topic, batch: Batch) -> None:

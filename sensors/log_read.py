@@ -37,7 +37,17 @@ from .manifest import Manifest, ManifestError, parse
 from .mcap_records import Ints, McapError
 from .mcap_scan import Fault, Recording, open_recording
 from .rosbag2 import files_of
-from .streams import FieldLog, Floats, GnssStream, ImuStream, SteerStream, Stream, Warn, WheelStream
+from .streams import (
+    FieldLog,
+    Floats,
+    GnssStream,
+    ImuStream,
+    SteerStream,
+    Stream,
+    StreamError,
+    Warn,
+    WheelStream,
+)
 
 MANIFEST_NAME = "run.toml"
 INGEST_NAME = "ingest.json"
@@ -57,7 +67,10 @@ def read_streams(path: Path, given: tuple[Manifest, str] | None) -> FieldLog:
     warnings = [Warn(fault.what, fault.effect, file=path.name) for fault in faults]
     streams: dict[str, Stream] = {}
     for name, sensor in manifest.sensors.items():
-        stream = _stream(name, sensor, found, warnings)
+        try:
+            stream = _stream(name, sensor, found, warnings)
+        except StreamError as error:
+            raise LogError(f"{path}: {error}") from None
         if stream is not None:
             streams[name] = stream
         elif sensor.topic is not None or sensor.kind in NEEDED:

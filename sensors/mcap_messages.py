@@ -9,7 +9,7 @@ import datetime as dt
 import os
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -85,38 +85,49 @@ def make_block(data: Bytes, table: Table, faults: tuple[Fault, ...] = ()) -> Blo
 def read_messages(recording: Recording, wanted: Callable[[Channel], bool]) -> Iterator[Batch | Fault]:
     """Messages of the wanted channels in file order, a batch for each chunk and channel, and what is lost.
 
+    Chunks that by their message indexes hold nothing wanted stay closed.
     Raises McapError for an unknown compression, for sizes that no recording has (a decompression bomb), or
     for a message without its channel.
     """
-    _refuse_bombs(recording)
     registry = Registry(dict(recording.schemas), dict(recording.channels))
+    chunks = [
+        chunk
+        for chunk, inside in zip(recording.chunks, recording.inside, strict=True)
+        if _may_hold(inside, recording.channels, wanted)
+    ]
+    _refuse_bombs(chunks, recording.data.size)
     if recording.loose.opcode.size:
         yield from _batches(make_block(recording.data, recording.loose), registry, wanted)
     with ThreadPoolExecutor(WORKERS) as pool:
-        for block in _ahead(pool, recording):
+        for block in _ahead(pool, recording.data, chunks):
             yield from block.faults
             yield from _batches(block, registry, wanted)
 
 
-def _refuse_bombs(recording: Recording) -> None:
-    total = sum(chunk.uncompressed_size for chunk in recording.chunks)
-    if total > min(MAX_TOTAL, MAX_RATIO * recording.data.size):
-        raise McapError(
-            f"its chunks claim {total} bytes uncompressed, the file has {recording.data.size}; refused"
-        )
+def _may_hold(
+    inside: frozenset[int], known: Mapping[int, Channel], wanted: Callable[[Channel], bool]
+) -> bool:
+    """Whether a chunk can hold something wanted: no index tells, or it lists a wanted or unknown channel."""
+    return not inside or any(key not in known or wanted(known[key]) for key in inside)
 
 
-def _ahead(pool: ThreadPoolExecutor, recording: Recording) -> Iterator[Block]:
+def _refuse_bombs(chunks: Sequence[Chunk], file_size: int) -> None:
+    total = sum(chunk.uncompressed_size for chunk in chunks)
+    if total > min(MAX_TOTAL, MAX_RATIO * file_size):
+        raise McapError(f"its chunks claim {total} bytes uncompressed, the file has {file_size}; refused")
+
+
+def _ahead(pool: ThreadPoolExecutor, data: Bytes, chunks: Sequence[Chunk]) -> Iterator[Block]:
     """Opened chunks in order; others are opened in threads meanwhile, AHEAD bytes of them at most."""
     waiting: deque[tuple[Chunk, Future[Block]]] = deque()
     size = 0
-    for chunk in recording.chunks:
+    for chunk in chunks:
         while waiting and size + chunk.uncompressed_size > AHEAD:
             done, block = waiting.popleft()
             size -= done.uncompressed_size
             yield block.result()
-            let_go(recording.data, done.start, done.size)
-        waiting.append((chunk, pool.submit(open_chunk, recording.data, chunk)))
+            let_go(data, done.start, done.size)
+        waiting.append((chunk, pool.submit(open_chunk, data, chunk)))
         size += chunk.uncompressed_size
     for _, block in waiting:
         yield block.result()

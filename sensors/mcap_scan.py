@@ -6,6 +6,7 @@ summary only confirms. Chunks stay closed (see mcap_messages). What is damaged i
 
 from __future__ import annotations
 
+import itertools
 import mmap
 import os
 import zlib
@@ -37,6 +38,12 @@ from .mcap_records import (
 )
 
 MAX_ATTACHMENT = 64 * 2**20  # bytes
+MESSAGE_INDEX_HEAD = 6  # bytes: channel, and how many bytes of entries follow
+OTHERS = {
+    b"#ROSBAG V2.0": "it is a bag of ROS 1; convert it with `rosbags-convert`",
+    b"SQLite format 3": "it is a database of rosbag2; convert it with `ros2 bag convert`",
+    b"\x28\xb5\x2f\xfd": "it is compressed as a whole; decompress it with `zstd -d`",
+}
 PIECE = 4 * 2**20  # bytes of a file that are looked at in one go
 
 
@@ -50,7 +57,10 @@ class Fault:
 
 @dataclass(frozen=True)
 class Recording:
-    """A file's records outside chunks. data is the file's bytes (mapped, not read)."""
+    """A file's records outside chunks. data is the file's bytes (mapped, not read).
+
+    inside: for each chunk the channels that its message indexes list; empty where there are none.
+    """
 
     path: Path
     data: Bytes
@@ -58,6 +68,7 @@ class Recording:
     schemas: Mapping[int, Schema]
     channels: Mapping[int, Channel]
     chunks: tuple[Chunk, ...]
+    inside: tuple[frozenset[int], ...]
     loose: Table
     attachments: tuple[Attachment, ...]
     metadata: tuple[Metadata, ...]
@@ -89,8 +100,12 @@ def open_recording(path: Path) -> Recording:
     Raises McapError, one line, when the file is not MCAP or holds a record that breaks the format.
     """
     data = _map(path)
-    if data[: len(MAGIC)].tobytes() != MAGIC:
-        raise McapError(f"{path}: is not an MCAP file (it does not begin with its magic bytes)")
+    begins = data[:16].tobytes()
+    if not begins.startswith(MAGIC):
+        other = [how for magic, how in OTHERS.items() if begins.startswith(magic)]
+        raise McapError(
+            f"{path}: is not an MCAP file ({(*other, 'its first bytes are not those of one')[0]})"
+        )
     try:
         return _scan(path, data)
     except McapError as error:
@@ -156,7 +171,8 @@ def _scan(path: Path, data: Bytes) -> Recording:
                 faults.append(record)
     cut = _cut_chunk(data, table)
     return Recording(
-        path, data, header, registry.schemas, registry.channels, (*chunks, *cut), _loose(table),
+        path, data, header, registry.schemas, registry.channels, (*chunks, *cut),
+        (*_inside(data, table), *(frozenset[int]() for _ in cut)), _loose(table),
         tuple(attachments), tuple(metadata), statistics,
         (*faults, *_damage(data, table, closed), *_sum_faults(data, table)),
     )  # fmt: skip
@@ -183,6 +199,21 @@ def records_of(data: Bytes, table: Table, leave: Sequence[Op]) -> Iterator[Recor
 def _summed(record: Attachment) -> int:
     """Bytes of an attachment's content in front of its CRC (behind it there may be padding)."""
     return 8 + 8 + 4 + len(record.name.encode()) + 4 + len(record.media_type.encode()) + 8 + len(record.data)
+
+
+def _inside(data: Bytes, table: Table) -> list[frozenset[int]]:
+    """The channels that are in each chunk, by the message indexes behind it."""
+    indexes = table.of(Op.MESSAGE_INDEX)
+    indexes = indexes[table.length[indexes] >= MESSAGE_INDEX_HEAD]
+    at = table.start[indexes]
+    channels = data[at].astype(np.int64) | data[at + 1].astype(np.int64) << 8
+    listed = data[at[:, np.newaxis] + np.arange(2, MESSAGE_INDEX_HEAD)].any(
+        axis=1
+    )  # of more than no messages
+    chunks = table.of(Op.CHUNK)
+    edges = np.searchsorted(indexes[listed], np.append(chunks, table.opcode.size))
+    channels = channels[listed]
+    return [frozenset(channels[a:b].tolist()) for a, b in itertools.pairwise(edges.tolist())]
 
 
 def _loose(table: Table) -> Table:
