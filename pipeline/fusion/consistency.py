@@ -21,6 +21,7 @@ CHANNELS = {
 }  # fmt: skip
 LEVEL = 0.999  # of the bounds
 MOST = 150  # independent samples the bounds are made for: no field model is exact to more
+CAUTION = 0.4  # of the expected NIS: a channel stated too cautiously by less than this misleads nobody
 MOST_REFUSED = 0.05
 MOST_CORRELATED = 0.4
 
@@ -48,6 +49,7 @@ def _channel(channel: str, dof: int, a: NDArray[np.int64], b: NDArray[np.int64],
     freedom = max(independent, 1.0) * dof
     tail = 0.5 * (1.0 - LEVEL)
     low, high = (float(2.0 * gammaincinv(freedom / 2.0, level) / freedom * dof) for level in (tail, 1.0 - tail))
+    low = min(low, CAUTION * dof)
     mean = float(good.mean()) if good.size else float("nan")
     fine = low <= mean <= high and abs(rho) < MOST_CORRELATED and (~used).mean() <= MOST_REFUSED
     return SensorConsistency(channel, int(a.size), int((~used).sum()), dof, mean, low, high, rho, bool(fine))
