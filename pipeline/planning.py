@@ -7,7 +7,7 @@ the standard deviation with which the parameters could be identified follows fro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -33,6 +33,8 @@ Say = Callable[[str], None]
 REPEATS = (1, 2, 3, 5, 8)
 LEAST_PILOTS = 6  # of a variant: their scatter is the campaign's
 PILOT_SEEDS = 100_000  # pilots are not the passes that the same plan would write
+OFTEN = 0.8  # of campaigns: what counts as a good chance
+OF_SENSORS = ("noise", "small-swing", "alignment")  # reasons that better sensors mend
 SURE = 0.25  # relative sd under which a parameter counts as identifiable
 COLLINEAR = 0.98  # |correlation| over which two parameters cannot be told apart
 
@@ -150,7 +152,7 @@ def _variant(
     per_pass = sum((p.information for p in flown), np.zeros((len(names),) * 2)) / len(flown)
     precision = precisions(per_pass, names, machine, len(cells), repeats, campaign.repeats)
     reading = readings(statistics)
-    words = advice(reading, chance, campaign.repeats, rules)
+    words = advice(statistics, reading, chance, campaign.repeats, rules)
     return VariantForecast(variant, len(flown), failed, reading, chance, precision, words)
 
 
@@ -248,32 +250,54 @@ def _partner(covariance: Floats, i: int, names: Sequence[str]) -> tuple[str, flo
 
 
 def advice(
-    reading: Sequence[Reading], chance: Sequence[Chance], planned: int, rules: Rules
+    pilots: Sequence[PassStatistics],
+    reading: Sequence[Reading],
+    chance: Sequence[Chance],
+    planned: int,
+    rules: Rules,
 ) -> tuple[str, ...]:
     """The two questions answered in words: are the repeats enough, are the sensors good enough."""
+    return (*_on_repeats(chance, planned), *_on_sensors(pilots, reading, chance, rules))
+
+
+def _on_repeats(chance: Sequence[Chance], planned: int) -> Iterator[str]:
     here = {c.ratio: c for c in chance if c.repeats == planned}
     right, wrong = here[min(here)], here[max(here)]
-    words = [
+    yield (
         f"with {planned} repeats in a cell a right model is found adequate in {_share(right.adequate)} of "
         f"campaigns, and one {wrong.percent:g} % off is found not adequate in {_share(wrong.not_adequate)}"
-    ]
-    more = [c.repeats for c in chance if c.ratio == right.ratio and c.adequate >= 0.8]
-    if right.adequate < 0.8:
-        words.append(
-            f"{min(more)} repeats would find a right model adequate in 8 of 10 campaigns"
-            if more
-            else "no number of repeats that was tried finds a right model adequate in 8 of 10 campaigns"
-        )
-        if right.doubts:
-            words.append("what stands in the way: " + ", ".join(right.doubts))
-    worst = max(reading, key=lambda r: r.measuring)
-    enough = worst.measuring < 0.5 * rules.threshold_percent
-    words.append(
-        f"measuring error alone reads up to {worst.measuring:.1f} % ({worst.response}): the sensors are "
-        + ("good enough" if enough else "not good enough")
-        + f" for a threshold of {rules.threshold_percent:g} %"
     )
-    return tuple(words)
+    if right.adequate >= OFTEN:
+        return
+    more = [c.repeats for c in chance if c.ratio == right.ratio and c.adequate >= OFTEN]
+    yield (
+        f"{min(more)} repeats would find a right model adequate in {_share(OFTEN)} of campaigns or more"
+        if more
+        else f"no number of repeats tried finds a right model adequate in {_share(OFTEN)} of campaigns"
+    )
+    if right.doubts:
+        yield "what stands in the way: " + ", ".join(right.doubts)
+
+
+def _on_sensors(
+    pilots: Sequence[PassStatistics], reading: Sequence[Reading], chance: Sequence[Chance], rules: Rules
+) -> Iterator[str]:
+    worst = max(reading, key=lambda r: r.measuring)
+    right = max((c for c in chance if c.ratio == min(c.ratio for c in chance)), key=lambda c: c.repeats)
+    hindered = any(right.inconclusive * right.doubts.get(code, 0.0) > 1.0 - OFTEN for code in OF_SENSORS)
+    spoilt = [
+        p for p in pilots if max(np.sqrt(r.mse) / r.r95 for r in p.responses.values()) > 2.0 * rules.threshold
+    ]
+    if spoilt:
+        yield (
+            f"in {len(spoilt)} of {len(pilots)} pilots a right model reads more than twice the threshold: "
+            "with these sensors the measured motion itself is not to be trusted"
+        )
+    enough = worst.measuring < 0.5 * rules.threshold_percent and not hindered and not spoilt
+    yield (
+        f"measuring error alone reads up to {worst.measuring:.1f} % ({worst.response}): the sensors are "
+        f"{'good enough' if enough else 'not good enough'} for a threshold of {rules.threshold_percent:g} %"
+    )
 
 
 def _share(share: float) -> str:
