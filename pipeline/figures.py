@@ -169,8 +169,8 @@ def _compact(path: re.Match[str]) -> str:
     if re.search(r"[CQ]", text):
         return path[0]
     out, last = [], (0, 0)
-    for letter, x, y in re.findall(r"([MLz])(?: (\S+) (\S+))?", text):
-        if letter == "z":  # what follows a closed path is an absolute M, so the pen's place does not matter
+    for letter, x, y in re.findall(r"z|([ML]) (\S+) (\S+)", text):
+        if not letter:  # what follows a closed path is an absolute M, so the pen's place does not matter
             out.append("z")
             continue
         at = round(10.0 * float(x)), round(10.0 * float(y))

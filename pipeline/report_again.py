@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import report, report_campaign, report_campaign_parts
+from . import report
 from .report_blocks import Section
 from .result import FIGURES, HTML, LOG, PDF, TABLES, ResultError, read_result
 from .result_mcap import write_result_log
@@ -59,6 +59,8 @@ def make_again(out: Path, exports: Exports = Exports()) -> Made:
 
 
 def _campaign(out: Path, exports: Exports) -> Made:
+    from . import report_campaign, report_campaign_parts  # late: their statistics are slow to import
+
     view = report_campaign.read_campaign(out)
     sections = report_campaign_parts.parts_of(view)
     with tempfile.TemporaryDirectory(prefix=".report.", dir=out) as name:

@@ -118,6 +118,7 @@
       place.querySelectorAll(".u-series").forEach((row, at) => {
         if (at > 0 && panel.curves[at - 1].hidden) row.style.display = "none";
       });
+      plot.over.addEventListener("dblclick", () => this.act("all"));
       this.plots.push(plot);
     });
     const xs = this.plots.map((plot) => plot.data[0]);
