@@ -127,20 +127,39 @@ def runs(mask: Mask) -> list[tuple[int, int]]:
 
 
 def _within_heading(motion: Motion, start: int, stop: int) -> list[tuple[int, int]]:
-    """The parts of a stretch whose yaw stays within 10° of the part's own line."""
+    """The parts of a stretch whose yaw stays within 10° of the part's own line.
+
+    A stretch that does not is cut in two where its heading changes, or, when it has one heading, at the
+    samples
+    that stray.
+    """
     pending, done = [(start, stop)], []
     while pending:
         first, last = pending.pop(0)
-        if last - first < 3 or _span(motion, first, last) < WORTH_MENTIONING:
+        if last - first < 4 or _span(motion, first, last) < WORTH_MENTIONING:
             continue
+        yaw = motion.tractor.yaw[first:last]
         line = fit_line(motion.tractor.x[first:last], motion.tractor.y[first:last])
-        near = np.abs(wrapped(motion.tractor.yaw[first:last] - line.heading)) <= LARGEST_ANGLE
-        parts = [(first + a, first + b) for a, b in runs(near)]
-        if parts == [(first, last)]:
+        near = np.abs(wrapped(yaw - line.heading)) <= LARGEST_ANGLE
+        if near.all():
             done.append((first, last))
-        else:
-            pending.extend(parts)
+            continue
+        place, change = change_of_heading(yaw)
+        parts = [(0, place), (place, last - first)] if change > LINE_ANGLE else runs(near)
+        pending.extend((first + a, first + b) for a, b in parts)
     return sorted(done)
+
+
+def change_of_heading(yaw: Floats) -> tuple[int, float]:
+    """Where two constant headings describe a yaw (N,) best, and by how much they differ, rad.
+
+    Two means that leave the least sum of squares are those with the most k·(N − k)/N·(difference)².
+    """
+    count = np.arange(1, yaw.size)
+    sums = np.cumsum(yaw - yaw[0])
+    difference = sums[:-1] / count - (sums[-1] - sums[:-1]) / (yaw.size - count)
+    best = int(np.argmax(count * (yaw.size - count) * difference**2))
+    return best + 1, float(abs(difference[best]))
 
 
 def _span(motion: Motion, start: int, stop: int) -> float:
