@@ -12,7 +12,7 @@ from pathlib import Path
 
 from . import report, result
 from .batch_store import PASSES
-from .report_campaign import write_campaign_report
+from .report_blocks import Section
 
 CAMPAIGN = ("campaign.json", "failures.json", PASSES)
 STORED = (
@@ -48,7 +48,7 @@ def remake(
         for folder in sorted(path.parent for path in (out / PASSES).glob(f"*/{result.METRICS}")):
             say(f"{folder.name}")
             remake_pass(folder, exports)
-        remake_campaign(out)
+        remake_campaign(out, exports)
     elif (out / result.METRICS).is_file():
         remake_pass(out, exports)
     else:
@@ -56,10 +56,15 @@ def remake(
     return out / result.HTML
 
 
-def remake_campaign(out: Path) -> None:
-    """Make a campaign's reports from its campaign.json and its stored passes."""
+def remake_campaign(out: Path, exports: Exports = Exports()) -> None:
+    """Make a campaign's reports and exports from its campaign.json and its stored passes."""
+    from . import (
+        report_campaign,
+    )  # late: a pass's reports do without its statistics, which are slow to import
+
     with _beside(out, CAMPAIGN) as part:
-        write_campaign_report(part)
+        view = report_campaign.write_campaign_report(part)
+        _export(part, report_campaign.parts_of(view), exports)
 
 
 def remake_pass(out: Path, exports: Exports) -> None:
@@ -67,12 +72,14 @@ def remake_pass(out: Path, exports: Exports) -> None:
     view = result.read_result(out)
     with _beside(out, STORED) as part:
         report.finish(part)
-        sections = report.sections_of(view) if exports.figures or exports.tables else ()
-        if exports.figures:
-            (part / result.FIGURES).mkdir()
-            report.write_figures(sections, part / result.FIGURES)
-        if exports.tables:
-            report.write_tables(sections, part / result.TABLES, exports.tables)
+        _export(part, report.sections_of(view) if exports.figures or exports.tables else (), exports)
+
+
+def _export(part: Path, sections: Sequence[Section], exports: Exports) -> None:
+    if exports.figures:
+        report.write_figures(sections, part / result.FIGURES)
+    if exports.tables:
+        report.write_tables(sections, part / result.TABLES, exports.tables)
 
 
 @contextmanager

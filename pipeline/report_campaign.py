@@ -37,10 +37,11 @@ SCOPE = (
 )
 
 
-def write_campaign_report(folder: Path) -> None:
+def write_campaign_report(folder: Path) -> CampaignView:
     """Write report.html and report.pdf of a batch's OUT from its campaign.json and its stored passes."""
     view = read_campaign(folder)
     write_pages(head_of(view), parts_of(view), folder, date_of(view))
+    return view
 
 
 def read_campaign(folder: Path) -> CampaignView:
