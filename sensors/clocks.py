@@ -360,8 +360,9 @@ def _lost(t: Floats, seq: Ints | None, rate: float) -> int:
         return 0
     if seq is None:
         return int(np.maximum(np.rint(np.diff(t) * rate) - 1, 0).sum())
-    whole = unwrap(seq, SEQ_SPAN, (t - t[0]) * rate)
-    return max(int(whole.max() - whole.min()) + 1 - np.unique(whole).size, 0)
+    whole = np.sort(unwrap(seq, SEQ_SPAN, (t - t[0]) * rate))
+    distinct = 1 + np.count_nonzero(np.diff(whole))
+    return max(int(whole[-1] - whole[0]) + 1 - int(distinct), 0)
 
 
 def _host_only(host: Floats, seq: Ints | None, rate: float) -> SampleTimes:

@@ -84,18 +84,19 @@ def _not_a_file(path: Path) -> Any:
 
 
 def _assemble(
-    run: Manifest, text: str, folder: Path, paths: Mapping[str, Path], raws: Mapping[str, Raw]
+    run: Manifest, text: str, folder: Path, paths: Mapping[str, Path], raws: dict[str, Raw]
 ) -> FieldLog:
     base = _base_ns(raws.values())
     timed, warnings, facts = _host_times(run, raws, base)
     to_utc, gnss_warnings, clock = utc_map(run, raws, timed, base)
+    found = [warning for raw in raws.values() for warning in raw.warnings]
     streams: dict[str, Stream] = {}
-    for name, raw in raws.items():
+    for name in tuple(raws):
+        raw = raws.pop(name)  # an hour's raw samples and streams do not stand in memory together
         if isinstance(raw, RawGnss):
             streams[name] = _gnss(name, raw, to_utc, base)
         else:
-            streams[name] = _stream(run.sensors[name].kind, name, raw, timed[name], to_utc, base)
-    found = [warning for raw in raws.values() for warning in raw.warnings]
+            streams[name] = _stream(run.sensors[name].kind, name, raw, timed.pop(name), to_utc, base)
     log = FieldLog(
         manifest=run,
         manifest_text=text,

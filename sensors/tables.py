@@ -26,6 +26,7 @@ MAX_COLUMNS = 1000
 HEADER_LINES = 60  # so far down a header may stand (after a logger's own preamble)
 SEPARATORS = (",", ";", "\t", "|")
 BLOCK = 1 << 24
+BLANK = b"\0 \t\r\n"
 NULLS = ["", "nan", "NaN", "NAN", "null", "NULL", "NA", "N/A", "-", "none", "None"]
 
 
@@ -45,14 +46,15 @@ def read_bytes(path: Path) -> bytes:
         data = path.read_bytes()
     except OSError as error:
         raise RawError(f"{path.name}: cannot be read: {error.strerror}") from None
-    if not data.strip(b"\0 \t\r\n"):
+    if not data[:BLOCK].strip(BLANK) and not data.strip(BLANK):
         raise RawError(f"{path.name}: is empty")
     return data
 
 
 def read_text(path: Path) -> bytes:
     """A text file as UTF-8; zero bytes at its end, as a power cut leaves them, are cut off."""
-    return as_utf8(read_bytes(path), path.name).rstrip(b"\0")
+    text = as_utf8(read_bytes(path), path.name)
+    return text.rstrip(b"\0") if text.endswith(b"\0") else text
 
 
 def as_utf8(data: bytes, file: str) -> bytes:
@@ -233,10 +235,12 @@ def _body(data: bytes, header: Header, file: str) -> tuple[bytes, list[Rejected]
             raise RawError(f"{file}: has a header but no rows")
         start = end + 1
     body = data[start:]
-    if not body.strip():
+    if not body[:BLOCK].strip() and not body.strip():
         raise RawError(f"{file}: has a header but no rows")
-    if body.endswith((b"\n", b"\r")):
+    if body.endswith((b"\n\n", b"\n\r\n")):
         return body.rstrip(b"\r\n") + b"\n", []
+    if body.endswith((b"\n", b"\r")):
+        return body, []
     last = body.rfind(b"\n") + 1
     if last == 0:
         raise RawError(f"{file}: its only row is cut off")
@@ -303,5 +307,7 @@ def _parse(
 
 def _line_numbers(count: int, header_lines: int, dropped: list[Rejected]) -> Ints:
     """Line of each row kept, when the dropped ones stood between them."""
+    if not dropped:
+        return np.arange(header_lines + 1, header_lines + 1 + count, dtype=np.int64)
     lines = np.arange(header_lines + 1, header_lines + 1 + count + len(dropped), dtype=np.int64)
     return np.setdiff1d(lines, np.array([line.row for line in dropped], dtype=np.int64), assume_unique=True)
