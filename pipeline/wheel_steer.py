@@ -113,7 +113,7 @@ def steering_angle(
     angle = raw - drift
     single = len({w.wheel for w in front}) == 1
     if single and tractor is not None:
-        angle = _mean_angle(angle, tractor, front[0].wheel)
+        angle = mean_angle(angle, tractor, front[0].wheel)
     dt = np.diff(grid_t)
     walk = float(np.median(variance / dt))
     correlation_time = min(LONGEST, float(grid_t[-1] - grid_t[0]) / 3.0)
@@ -251,7 +251,7 @@ def _slow_mean(
     return error, doubt
 
 
-def _mean_angle(angle: Floats, tractor: Tractor, wheel: str) -> Floats:
+def mean_angle(angle: Floats, tractor: Tractor, wheel: str) -> Floats:
     """Mean of both front wheels' angles when one wheel's is known and the linkage is Ackermann's.
 
     cot δ_left,right = cot δ ∓ track / (2·wheelbase); the mean of both angles is δ up to third order.

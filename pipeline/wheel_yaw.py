@@ -45,7 +45,7 @@ from .wheel_unit import (
 BIAS_X, BIAS_Z, TILT_X, TILT_Z = range(4)
 SHARE = 2.0  # how much of the carrier's roll and pitch rate a hub may show as its own roll rate
 SWING = 10  # s, over which the carrier's pitch angle has no mean of its own
-STEADY = 0.02  # rad/s: a block at rest that departs this far from the others' median is being steered
+STEADY = 4.0  # robust standard deviations: a block at rest that departs further is being steered
 STILL_SD = 1.0e-4  # rad/s: least doubt of a one-second mean at rest
 
 
@@ -137,8 +137,16 @@ def _rest_products(unit: Unit, rest: Bools, constants: int) -> Floats:
     total = np.zeros((1, 1 + constants, 1 + constants))
     for index, part in ((BIAS_X, unit.across.imag[rest]), (BIAS_Z, unit.across.real[rest])):
         means = block_means(part, size)
-        means = means[np.abs(means - np.median(means)) < STEADY] if means.size else means
+        means = _steady(means)
         columns = np.zeros((means.size, 1 + constants))
         columns[:, 0], columns[:, 1 + index] = means, 1.0
         total += whitened_products(columns, np.full(means.size, max(robust_sd(means), STILL_SD) ** 2))
     return total
+
+
+def _steady(means: Floats) -> Floats:
+    """Those of one-second means at rest that agree with their median."""
+    if means.size == 0:
+        return means
+    limit = STEADY * max(robust_sd(means), STILL_SD)
+    return np.asarray(means[np.abs(means - np.median(means)) <= limit])
