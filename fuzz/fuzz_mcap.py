@@ -1,8 +1,9 @@
 """Fuzz the reading of MCAP logs: whatever the bytes, a pass or a refusal in one line, in bounded time.
 
-    python fuzz/mcap.py [libFuzzer options] [corpus folder ...]
+    python fuzz/fuzz_mcap.py [libFuzzer options] [corpus folder ...]
 
-Without a corpus folder fuzz/corpus/mcap is used; `--seeds` writes its seeds again.
+Without a corpus folder the seeds in fuzz/corpus/mcap are used, and what is found goes into a temporary one;
+`--seeds` writes the seeds again.
 """
 
 from __future__ import annotations
@@ -145,11 +146,10 @@ def main() -> None:
     if "--seeds" in sys.argv:
         write_seeds(CORPUS)
         return
-    arguments = (
-        sys.argv if any(not each.startswith("-") for each in sys.argv[1:]) else [*sys.argv, str(CORPUS)]
-    )
-    atheris.Setup(arguments, read)
-    atheris.Fuzz()
+    with tempfile.TemporaryDirectory() as found:
+        folders = [] if any(not each.startswith("-") for each in sys.argv[1:]) else [found, str(CORPUS)]
+        atheris.Setup([*sys.argv, *folders], read)
+        atheris.Fuzz()
 
 
 if __name__ == "__main__":

@@ -62,6 +62,11 @@ def read_streams(path: Path, given: tuple[Manifest, str] | None) -> FieldLog:
         recordings = [open_recording(each) for each in files_of(path)]
     except McapError as error:
         raise LogError(str(error)) from None
+    return streams_of(path, recordings, given)
+
+
+def streams_of(path: Path, recordings: Sequence[Recording], given: tuple[Manifest, str] | None) -> FieldLog:
+    """The pass in opened files; `given` overrides their manifest. Raises LogError."""
     manifest, text = given if given is not None else _attached_manifest(path, recordings)
     found, faults = collect(recordings, _topics(manifest))
     warnings = [Warn(fault.what, fault.effect, file=path.name) for fault in faults]

@@ -99,13 +99,16 @@ def open_recording(path: Path) -> Recording:
 
     Raises McapError, one line, when the file is not MCAP or holds a record that breaks the format.
     """
-    data = _map(path)
+    return scan(path, _map(path))
+
+
+def scan(path: Path, data: Bytes) -> Recording:
+    """The same for a file's bytes; `path` is what messages call them."""
     begins = data[:16].tobytes()
     if not begins.startswith(MAGIC):
         other = [how for magic, how in OTHERS.items() if begins.startswith(magic)]
-        raise McapError(
-            f"{path}: is not an MCAP file ({(*other, 'its first bytes are not those of one')[0]})"
-        )
+        what = (*other, "its first bytes are not those of one")[0]
+        raise McapError(f"{path}: is not an MCAP file ({what})")
     try:
         return _scan(path, data)
     except McapError as error:
