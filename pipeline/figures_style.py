@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -107,3 +108,11 @@ def thin(chart: Chart, most: int) -> Thinned:
 
 def _count(panels: Sequence[Panel]) -> int:
     return sum(curve.x.size for panel in panels for curve in panel.curves)
+
+
+def power(value: float) -> str:
+    """A power of ten for an axis: 0.1, 1, 10, 10⁻³."""
+    exponent = round(math.log10(value)) if value > 0.0 else 0
+    if abs(exponent) < 3:
+        return f"{value:g}"
+    return "10" + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(sign)] if sign.isdigit() else "⁻" for sign in str(exponent))

@@ -247,24 +247,30 @@ def _table(sheet: _Sheet, table: Table) -> None:
     sheet.ln(0.8)
     sheet.set_text_color(*INK)
     sheet.set_draw_color(*RULE)
-    _table_row(sheet, table, table.columns, widths, size, "B")
+    aligned = ["R" if numeric else "L" for numeric in table.numeric]
+    _table_row(sheet, aligned, table.columns, widths, size, "B")
     for row in table.rows:
         sheet.set_font("Sans", "", size)
         if sheet.get_y() + _row_height(sheet, row, widths) > PAGE_HEIGHT - FOOT - 4.0:
             sheet.add_page()
-            _table_row(sheet, table, table.columns, widths, size, "B")
-        _table_row(sheet, table, row, widths, size, "")
+            _table_row(sheet, aligned, table.columns, widths, size, "B")
+        _table_row(sheet, aligned, row, widths, size, "")
     sheet.ln(4.0)
 
 
 def _table_row(
-    sheet: _Sheet, table: Table, row: Sequence[str], widths: Sequence[float], size: float, emphasis: str
+    sheet: _Sheet,
+    aligned: Sequence[str],
+    row: Sequence[str],
+    widths: Sequence[float],
+    size: float,
+    emphasis: str,
 ) -> None:
     sheet.set_font("Sans", emphasis, size)
     top, height = sheet.get_y(), _row_height(sheet, row, widths)
     left = MARGIN
     for index, (text, width) in enumerate(zip(row, widths, strict=True)):
-        align = "R" if table.numeric[index] else "L"
+        align = aligned[index]
         for number, line in enumerate(_lines(sheet, text, width)):
             indent = 2.0 if align == "L" and index > 0 else 0.0
             sheet.set_xy(left + indent, top + 0.5 + number * LINE)
@@ -288,12 +294,13 @@ def _lines(sheet: _Sheet, text: str, width: float) -> list[str]:
 
 def _fitted(sheet: _Sheet, table: Table) -> tuple[float, list[float]]:
     """Size of type in pt and column widths in mm with which the table fits; smaller before lines break."""
+    sheet.set_font("Sans", "B", TABLE_SIZES[0])
+    natural = [
+        max(_text_width(sheet, row[column]) for row in (table.columns, *table.rows))
+        for column in range(len(table.columns))
+    ]
     for size in TABLE_SIZES:
-        sheet.set_font("Sans", "B", size)
-        wanted = [
-            max(_text_width(sheet, row[column]) for row in (table.columns, *table.rows)) + 4.0
-            for column in range(len(table.columns))
-        ]
+        wanted = [width * size / TABLE_SIZES[0] + 4.0 for width in natural]
         spare = TEXT_WIDTH - sum(wanted)
         if spare >= 0.0:
             return size, [width + min(spare / len(wanted), 6.0) for width in wanted]
