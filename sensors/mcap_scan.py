@@ -182,21 +182,28 @@ def _scan(path: Path, data: Bytes) -> Recording:
 
 
 def records_of(data: Bytes, table: Table, leave: Sequence[Op]) -> Iterator[Record | Fault]:
-    """Parse a table's records except those kinds; the same bytes (a repeated definition) only once."""
-    wanted = np.flatnonzero(~np.isin(table.opcode, [int(op) for op in leave]))
-    for i in wanted:
+    """Parse a table's records except those kinds; a definition that comes again as it was only once."""
+    seen: set[bytes] = set()
+    for i in np.flatnonzero(~np.isin(table.opcode, [int(op) for op in leave])):
         opcode, start, length = int(table.opcode[i]), int(table.start[i]), int(table.length[i])
+        if opcode in (Op.SCHEMA, Op.CHANNEL):
+            content = data[start - FRAME : start + length].tobytes()
+            if content in seen:
+                continue
+            seen.add(content)
         if opcode == Op.ATTACHMENT and length > MAX_ATTACHMENT:
             yield Fault(f"an attachment of {length} bytes at byte {start - FRAME}", "it was passed over")
             continue
         record = parse(data, opcode, start, length)
-        if isinstance(record, Attachment) and record.crc not in (
-            0,
-            _crc(data, start, start + _summed(record)),
-        ):
+        if isinstance(record, Attachment) and not _is_sound(data, start, record):
             yield Fault(f"the attachment {record.name} has a wrong CRC", "it was passed over")
         elif record is not None:
             yield record
+
+
+def _is_sound(data: Bytes, start: int, record: Attachment) -> bool:
+    """Whether an attachment's CRC is right (0: there is none)."""
+    return record.crc in (0, _crc(data, start, start + _summed(record)))
 
 
 def _summed(record: Attachment) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from log_samples import a_log, assert_same
 from mcap.reader import make_reader
@@ -50,6 +50,7 @@ def test_a_log_gives_back_exactly_what_was_written(log: FieldLog, path: Path) ->
 
 
 @given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
 def test_every_log_comes_back_exactly(seed: int, tmp_path_factory: pytest.TempPathFactory) -> None:
     log = a_log(seed, seconds=1.0)
     path = tmp_path_factory.mktemp("log") / "sample.mcap"

@@ -225,14 +225,14 @@ def refusal(data: bytes, folder: Path) -> str:
     path.write_bytes(data)
     manifest = topic_manifest(folder)
     tracemalloc.start()
-    start = time.monotonic()
+    start = time.process_time()
     try:
         with pytest.raises(LogError) as caught:
             read_log(path, manifest)
     finally:
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-    assert time.monotonic() - start < 10.0
+    assert time.process_time() - start < 20.0
     assert peak < 150e6 + 4 * len(data)
     assert "\n" not in str(caught.value)
     return str(caught.value)
@@ -319,6 +319,7 @@ def test_other_recordings_are_refused_with_the_way_to_convert_them(
     assert how in refusal(data + bytes(100), tmp_path)
 
 
+@pytest.mark.slow
 def test_a_million_topics_take_bounded_time(tmp_path: Path) -> None:
     schema = record(
         Op.SCHEMA, struct.pack("<H", 1) + text("sensor_msgs/msg/Imu") + text("ros2msg") + text("")
@@ -330,6 +331,12 @@ def test_a_million_topics_take_bounded_time(tmp_path: Path) -> None:
         for i in range(1_000_000)
     )
     assert "defined twice, differently" in refusal(HEADER + schema + channels + END, tmp_path)
+
+
+@pytest.mark.slow
+def test_one_definition_a_million_times_takes_bounded_time(tmp_path: Path) -> None:
+    again = record(Op.CHANNEL, struct.pack("<HH", 1, 0) + text("/t") + text("cdr") + struct.pack("<I", 0))
+    assert "did you mean" not in refusal(HEADER + again * 1_000_000 + END, tmp_path)
 
 
 def test_an_unknown_compression_is_refused_by_name(tmp_path: Path) -> None:
@@ -350,10 +357,10 @@ def test_a_hole_of_zeros_ends_the_log(tmp_path: Path) -> None:
     with path.open("wb") as file:
         file.write(HEADER)
         file.truncate(10 * 2**30)
-    start = time.monotonic()
+    start = time.process_time()
     with pytest.raises(LogError, match=r"no run.toml attached.*cut or damaged"):
         read_log(path)
-    assert time.monotonic() - start < 5.0
+    assert time.process_time() - start < 5.0
 
 
 def test_messages_that_inflate_one_by_one_are_bounded(tmp_path: Path) -> None:
