@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from .manifest import Manifest
-from .streams import FieldLog, Floats, GnssStream, ImuStream, Stream
+from .plausibility import Finding, findings
+from .streams import FieldLog, Floats, GnssStream, Stream, Warn
 
+MOST_CHANGES = 100
 GAP = 2.5  # nominal intervals: longer is a gap
 
 
@@ -20,14 +22,26 @@ def health_of(log: FieldLog, clock_facts: Mapping[str, Any] | None = None) -> di
         (drift, wraps, lost samples). Without them those of `log.health` are kept.
     """
     known = log.health if clock_facts is None else clock_facts
+    told = findings(log.manifest, log.streams)
     found: dict[str, Any] = {}
     for name, stream in log.streams.items():
-        found[name] = (
-            _timing(stream, _rate(log.manifest, name)) | _by_kind(stream) | dict(known.get(name, {}))
-        )
+        timing = _timing(stream, _rate(log.manifest, name))
+        finding = told.get(name, Finding({}))
+        found[name] = timing | _by_kind(stream) | dict(finding.facts) | dict(known.get(name, {}))
+        if finding.hints:
+            found[name]["hints"] = list(finding.hints)
     if "clock" in known:
         found["clock"] = dict(known["clock"])
     return found
+
+
+def hint_warnings(health: Mapping[str, Any], files: Mapping[str, str | None]) -> tuple[Warn, ...]:
+    """What the readings suggest is wrong in run.toml, as warnings. files : by sensor."""
+    return tuple(
+        Warn(hint, "kept as it is; check run.toml", name, files.get(name))
+        for name, entry in health.items()
+        for hint in entry.get("hints", ())
+    )
 
 
 def _rate(manifest: Manifest, name: str) -> float:
@@ -53,8 +67,6 @@ def _timing(stream: Stream, rate: float) -> dict[str, Any]:
 def _by_kind(stream: Stream) -> dict[str, Any]:
     if isinstance(stream, GnssStream):
         return _fixes(stream)
-    if isinstance(stream, ImuStream):
-        return {"mean_specific_force": float(np.linalg.norm(stream.specific_force, axis=1).mean())}
     return {}
 
 
@@ -64,10 +76,17 @@ def _fixes(stream: GnssStream) -> dict[str, Any]:
     delay = stream.t_arrival - stream.t
     return {
         "quality": {str(int(code)): int(count) for code, count in zip(codes, counts, strict=True)},
+        "quality_over_time": _changes(stream),
         "without_position": int(np.isnan(stream.lat).sum()),
         "median_sd_m": _median(np.hypot(stream.sd_east, stream.sd_north)),
         "delay_s": {"least": float(delay.min()), "median": float(np.median(delay))},
     }
+
+
+def _changes(stream: GnssStream) -> list[list[float]]:
+    """[seconds since the first epoch, fix quality] wherever the quality changes; the first MOST_CHANGES."""
+    edges = np.flatnonzero(np.diff(stream.quality, prepend=np.nan) != 0.0)[:MOST_CHANGES]
+    return [[float(stream.t[k] - stream.t[0]), float(stream.quality[k])] for k in edges]
 
 
 def _median(values: Floats) -> float | None:

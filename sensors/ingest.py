@@ -14,7 +14,7 @@ from . import clocks, manifest
 from .checks import rows_of
 from .clocks import ClockError, HostToUtc, SampleTimes
 from .formats import FORMATS
-from .health import health_of
+from .health import health_of, hint_warnings
 from .manifest import Manifest, Sensor
 from .raw import Floats, Ints, Raw, RawError, RawGnss, RawImu, RawSteer
 from .streams import FieldLog, GnssStream, ImuStream, SteerStream, Stream, Warn, WheelStream
@@ -105,7 +105,9 @@ def _assemble(
         source=str(folder),
         sha256=_digest([folder / MANIFEST, *paths.values()]),
     )
-    return replace(log, health=health_of(log, facts | {"clock": clock}))
+    health = health_of(log, facts | {"clock": clock})
+    files = {name: sensor.file for name, sensor in run.sensors.items()}
+    return replace(log, health=health, warnings=log.warnings + hint_warnings(health, files))
 
 
 def _base_ns(raws: Iterable[Raw]) -> int:

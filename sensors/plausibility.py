@@ -1,0 +1,194 @@
+"""Do the readings fit the manifest? Gravity against mounting, spin against speed, clock against clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .manifest import GRAVITY, Imd, Machine, Manifest, Wds
+from .mounting import rotation_matrix, to_body
+from .streams import Floats, GnssStream, ImuStream, Stream
+
+TILTED = 20.0  # deg: no slope, so a wrong mounting
+MISMATCH = 0.15  # of gravity or of a wheel's radius
+LIKENESS = 0.3  # so near must a ratio be to that of two units
+SPINNING = 0.5  # rad/s
+DRIVING = 0.5  # m/s
+ON_AXLE = 0.9  # share of a turning wheel's rotation that must be about its axle
+GRID = 0.02  # s
+FARTHEST = 1.0  # s: larger offsets between clocks are not looked for
+ALIKE = 0.8  # correlation from which an offset means something
+OFF = 0.15  # s: a worse offset between two streams is worth telling
+DEGREES = 180.0 / np.pi
+UPRIGHT = ((0, 0), (180, 0), (90, 0), (-90, 0), (0, 90), (0, -90))  # roll, pitch
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Figures about one sensor, and what they suggest is wrong."""
+
+    facts: Mapping[str, Any]
+    hints: tuple[str, ...] = ()
+
+
+def findings(manifest: Manifest, streams: Mapping[str, Stream]) -> dict[str, Finding]:
+    """What the readings say about each inertial unit, by its name."""
+    found = {}
+    for name, stream in streams.items():
+        sensor = manifest.sensors.get(name)
+        if isinstance(stream, ImuStream) and stream.t.size > 1:
+            if isinstance(sensor, Imd):
+                found[name] = _joined(_gravity(stream, sensor), _same_body(manifest, streams, name))
+            elif isinstance(sensor, Wds):
+                found[name] = _wheel(stream, sensor, manifest.machine, streams)
+    return found
+
+
+def _joined(*parts: Finding) -> Finding:
+    facts = {key: value for part in parts for key, value in part.facts.items()}
+    return Finding(facts, tuple(hint for part in parts for hint in part.hints))
+
+
+def _gravity(stream: ImuStream, sensor: Imd) -> Finding:
+    """Mean specific force of a unit on a body: 9.8 m/s² upward, but for slopes."""
+    force, turn = to_body(stream, sensor)
+    mean = force.mean(axis=0)
+    size = float(np.linalg.norm(mean))
+    tilt = float(np.degrees(np.arccos(np.clip(mean[2] / size, -1.0, 1.0)))) if size > 0.0 else 0.0
+    hints = _unit_hints(size)
+    if not hints and tilt > TILTED:
+        hints = (_mounting_hint(stream.specific_force.mean(axis=0), tilt),)
+    if float(np.sqrt((turn**2).mean())) > 10.0:
+        hints = (*hints, 'rotations look like deg/s: set units = { gyro = "deg/s" }')
+    return Finding({"gravity_m_s2": size, "tilt_deg": tilt}, hints)
+
+
+def _unit_hints(size: float) -> tuple[str, ...]:
+    for unit, scale, cure in (
+        ("g", 1.0 / GRAVITY, 'set units = { accel = "g" }'),
+        ("mg", 1.0e3 / GRAVITY, "convert them to m/s²"),
+        ("m/s² taken for g", GRAVITY, 'remove accel = "g" from units'),
+    ):
+        if abs(size / (GRAVITY * scale) - 1.0) < MISMATCH:
+            return (f"accelerations look like {unit}: {cure}",)
+    if abs(size / GRAVITY - 1.0) > MISMATCH:
+        return (f"mean specific force is {size:.2f} m/s², not {GRAVITY:.2f}: check units and calibration",)
+    return ()
+
+
+def best_upright(mean: Floats) -> tuple[int, int]:
+    """Roll and pitch (deg, quarter turns) of the mounting that puts the mean specific force upward."""
+    radians = np.radians(UPRIGHT)
+    upward = [float((rotation_matrix(roll, pitch, 0.0) @ mean)[2]) for roll, pitch in radians.tolist()]
+    return UPRIGHT[int(np.argmax(upward))]
+
+
+def _mounting_hint(mean: Floats, tilt: float) -> str:
+    axis = int(np.argmax(np.abs(mean)))
+    sign = "+" if mean[axis] > 0.0 else "-"
+    roll, pitch = best_upright(mean)
+    return (
+        f"gravity is {tilt:.0f}° off the body's vertical, along the sensor's {sign}{'xyz'[axis]}: "
+        f"rotation_deg = [{roll}, {pitch}, yaw] would fit"
+    )
+
+
+def _same_body(manifest: Manifest, streams: Mapping[str, Stream], name: str) -> Finding:
+    """Offset of a unit's clock against the first unit on the same body, by their yaw rates."""
+    units: dict[str, Imd] = manifest.of_kind("imd")
+    first = next((key for key, imd in units.items() if imd.body == units[name].body), name)
+    reference, stream = streams.get(first), streams[name]
+    if first == name or not isinstance(reference, ImuStream) or not isinstance(stream, ImuStream):
+        return Finding({})
+    mine = to_body(stream, units[name])[1][:, 2]
+    theirs = to_body(reference, units[first])[1][:, 2]
+    return _offset(first, "yaw rate", stream.t, mine, reference.t, theirs)
+
+
+def _offset(against: str, of: str, t: Floats, x: Floats, t_ref: Floats, x_ref: Floats) -> Finding:
+    lag, alike = time_offset(t, x, t_ref, x_ref)
+    facts = {"clock_check": {"against": against, "by": of, "offset_s": lag, "correlation": alike}}
+    if alike > ALIKE and abs(lag) > OFF:
+        return Finding(facts, (f"its {of} comes {lag:.2f} s after that of {against}: check the clocks",))
+    if alike < -ALIKE:
+        return Finding(facts, (f"its {of} is opposite to that of {against}: check rotation_deg",))
+    return Finding(facts)
+
+
+def time_offset(t: Floats, x: Floats, t_ref: Floats, x_ref: Floats) -> tuple[float, float]:
+    """By how much x(t) lags behind x_ref (s), at the strongest correlation of either sign, and that one.
+
+    (0, 0) where the recordings have too little in common.
+    """
+    start, stop = max(t[0], t_ref[0]), min(t[-1], t_ref[-1])
+    if stop - start < 4.0 * FARTHEST:
+        return 0.0, 0.0
+    grid = np.arange(start, stop, GRID)
+    a, b = np.interp(grid, t, x), np.interp(grid, t_ref, x_ref)
+    reach = round(FARTHEST / GRID)
+    middle = b[reach:-reach] - b[reach:-reach].mean()
+    shifts = range(-reach, reach + 1)
+    scores = np.array([_correlation(a[reach + k : a.size - reach + k], middle) for k in shifts])
+    best = int(np.argmax(np.abs(scores)))
+    move = 0.0
+    if 0 < best < scores.size - 1:
+        before, here, after = scores[best - 1 : best + 2] * np.sign(scores[best])
+        bend = before - 2.0 * here + after
+        move = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    return float((best - reach + move) * GRID), float(scores[best])
+
+
+def _correlation(x: Floats, centred: Floats) -> float:
+    x = x - x.mean()
+    size = float(np.sqrt((x @ x) * (centred @ centred)))
+    return float(x @ centred) / size if size > 0.0 else 0.0
+
+
+def _wheel(stream: ImuStream, sensor: Wds, machine: Machine, streams: Mapping[str, Stream]) -> Finding:
+    """A wheel's unit: how much of its rotation is about the axle, and the radius that the speed implies."""
+    _, turn = to_body(stream, sensor)
+    size = np.linalg.norm(turn, axis=1)
+    turning = size > SPINNING
+    if np.count_nonzero(turning) < 100:
+        return Finding({"share_on_axle": None})
+    share = float((turn[turning, 1] ** 2).sum() / (size[turning] ** 2).sum())
+    facts: dict[str, Any] = {"share_on_axle": share}
+    if share < ON_AXLE:
+        axis = int(np.argmax((stream.angular_velocity[turning] ** 2).sum(axis=0)))
+        about = f"{100.0 * share:.0f} % of its rotation is about the axle"
+        hint = f"only {about}, most about the sensor's {'xyz'[axis]}"
+        return Finding(facts, (f"{hint}: check rotation_deg",))
+    gnss = next((s for s in streams.values() if isinstance(s, GnssStream)), None)
+    return _joined(Finding(facts), _rolling(stream.t, turn[:, 1], sensor, machine, gnss))
+
+
+def _rolling(t: Floats, spin: Floats, sensor: Wds, machine: Machine, gnss: GnssStream | None) -> Finding:
+    """Spin against the speed over ground."""
+    if gnss is None or np.count_nonzero(gnss.speed > DRIVING) < 20:
+        return Finding({})
+    known = np.isfinite(gnss.speed)
+    at, speed = gnss.t[known], gnss.speed[known]
+    turning = np.interp(at, t, spin)
+    driving = (speed > DRIVING) & (np.abs(turning) > SPINNING) & (at > t[0]) & (at < t[-1])
+    if np.count_nonzero(driving) < 20:
+        return Finding({})
+    radius = float(np.median(speed[driving] / turning[driving]))
+    tractor = machine.tractor
+    stated = tractor.front_wheel_radius if sensor.wheel.startswith("front") else tractor.rear_wheel_radius
+    part = _offset("gps", "spin", t, np.abs(spin), at, speed)
+    return _joined(Finding({"rolling_radius_m": radius}, _radius_hints(radius, stated)), part)
+
+
+def _radius_hints(radius: float, stated: float) -> tuple[str, ...]:
+    if abs(radius / stated * DEGREES - 1.0) < LIKENESS:
+        return ('rotations look like deg/s: set units = { gyro = "deg/s" }',)
+    if abs(abs(radius) / stated - 1.0) > MISMATCH:
+        return (
+            f"speed and spin imply a rolling radius of {abs(radius):.2f} m, run.toml says {stated:.2f} m",
+        )
+    if radius < 0.0:
+        return ("turns backwards while the machine drives: rotation_deg is off by 180°, unless it reversed",)
+    return ()
