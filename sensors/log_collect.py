@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .cdr import CdrError, Group, Layout, MessageType, decode, message_type
 from .mcap_messages import Batch, read_messages
-from .mcap_records import FRAME, MAX_RECORDS, MESSAGE_HEAD, McapError
+from .mcap_records import FRAME, MAX_RECORDS, MESSAGE_HEAD, McapError, one_line
 from .mcap_scan import Fault, Recording
 from .ros_messages import definition, is_known, short_name
 
@@ -24,6 +24,9 @@ FIRST_ROWS = 1024  # room made for a topic whose message count no summary tells
 
 class LogError(ValueError):
     """A log that cannot be used; the text says what, where and how to mend it, in one line."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text))
 
 
 @dataclass(frozen=True)

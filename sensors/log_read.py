@@ -34,7 +34,7 @@ from .log_collect import (
 )
 from .log_topics import GNSS_EXTRAS, from_ns
 from .manifest import Manifest, ManifestError, parse
-from .mcap_records import Ints, McapError
+from .mcap_records import Ints, McapError, one_line
 from .mcap_scan import Fault, Recording, open_recording
 from .rosbag2 import files_of
 from .streams import (
@@ -69,7 +69,7 @@ def streams_of(path: Path, recordings: Sequence[Recording], given: tuple[Manifes
     """The pass in opened files; `given` overrides their manifest. Raises LogError."""
     manifest, text = given if given is not None else _attached_manifest(path, recordings)
     found, faults = collect(recordings, _topics(manifest))
-    warnings = [Warn(fault.what, fault.effect, file=path.name) for fault in faults]
+    warnings = [Warn(one_line(fault.what), one_line(fault.effect), file=path.name) for fault in faults]
     streams: dict[str, Stream] = {}
     for name, sensor in manifest.sensors.items():
         try:
@@ -257,7 +257,7 @@ def _finite(columns: Values, names: Sequence[str]) -> NDArray[np.bool_]:
 
 def _tell(warnings: list[Warn], sensor: str, topic: str, count: int, what: str, effect: str) -> None:
     if count:
-        warnings.append(Warn(f"{count} {what} on {topic}", effect, sensor=sensor))
+        warnings.append(Warn(one_line(f"{count} {what} on {topic}"), effect, sensor=sensor))
 
 
 def _matched(stamp: Ints, other: Ints) -> tuple[Ints, Ints]:

@@ -24,11 +24,23 @@ Ints = NDArray[np.int64]
 MAGIC = b"\x89MCAP0\r\n"
 FRAME = 9  # bytes of opcode and length in front of a record's content
 MESSAGE_HEAD = 22  # bytes of a message's content in front of its payload
+LONGEST_LINE = 600  # characters of a message to a person
 MAX_RECORDS = 20_000_000  # of one walk: six hours of nine 100 Hz sensors, in 0.3 GB of tables
+
+
+def one_line(text: str) -> str:
+    """Text that may hold names out of a file, fit for one line: control characters escaped, long ones cut."""
+    shown = "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[:LONGEST_LINE]
+    )
+    return shown + "..." if len(text) > LONGEST_LINE else shown
 
 
 class McapError(ValueError):
     """A file or record that is not MCAP; one line: what, where."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text))
 
 
 class Op(IntEnum):
