@@ -155,9 +155,8 @@ def integrators(seconds: float, rough: bool) -> None:
     ]
     theirs = largest_gap(by_scipy(compiled_rate, arguments), reference)
     errors = [largest_gap(ours(SPACING), reference), theirs, theirs]
-    print(
-        f"\n{seconds:.0f} s, output at 100 Hz, {'rough field' if rough else 'smooth input'} (rtol {tolerance:g})"
-    )
+    ground = "rough field" if rough else "smooth input"
+    print(f"\n{seconds:.0f} s, output at 100 Hz, {ground} (rtol {tolerance:g})")
     for (name, took), error in zip(rows, errors, strict=True):
         print(
             f"  {name:38s} {1e3 * took:10.1f} ms   {took / rows[0][1]:7.1f} x   error {1e6 * error:8.3f} µm"
