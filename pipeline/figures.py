@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,11 @@ RC: dict[str, Any] = {
 }  # fmt: skip
 
 
+def _rc(more: Mapping[str, Any] | None = None) -> Any:
+    """matplotlib's settings for our drawings; it types their names, which a mapping cannot tell it."""
+    return {**RC, **(more or {})}
+
+
 def height_mm(chart: Chart) -> float:
     """Height of the drawn chart, mm."""
     if chart.to_scale:
@@ -52,7 +57,7 @@ def height_mm(chart: Chart) -> float:
 def draw(chart: Chart) -> Figure:
     """The chart as a matplotlib figure, `WIDTH_MM` wide, long series thinned."""
     chart = style.thin(chart, style.STILL_POINTS).chart
-    with mpl.rc_context(RC):
+    with mpl.rc_context(_rc()):
         height = height_mm(chart)
         figure = Figure(figsize=(WIDTH_MM * MM, height * MM))
         for index, panel in enumerate(chart.panels):
@@ -123,7 +128,9 @@ def _draw_curve(axes: Axes, curve: Curve) -> list[Line2D | Patch]:
         line = (
             {"linestyle": "none"} if curve.style == "points" else {"linestyle": DASHES.get(curve.style, "-")}
         )
-        mark = {"marker": "o", "markersize": 3.0} if curve.style in {"points", "marked"} else {}
+        mark: dict[str, Any] = (
+            {"marker": "o", "markersize": 3.0} if curve.style in {"points", "marked"} else {}
+        )
         (drawn,) = axes.plot(curve.x, curve.y, color=colour, label=curve.name, **line, **mark)
         handles += [drawn] if curve.name else []
     if curve.low is not None and curve.high is not None:
@@ -152,9 +159,10 @@ def _extent(values: Sequence[style.Floats]) -> float:
 
 def svg(figure: Figure, key: str) -> str:
     """A drawn figure as inline SVG for a page: text stays text, the colours are the page's own."""
-    with mpl.rc_context({**RC, "svg.hashsalt": key}):
+    with mpl.rc_context(_rc({"svg.hashsalt": key})):
         buffer = io.StringIO()
-        FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
+        canvas: Any = FigureCanvasSVG(figure)
+        canvas.print_svg(buffer, metadata={"Date": None, "Creator": None})
     return _inline(buffer.getvalue(), key)
 
 
@@ -203,7 +211,7 @@ def page_colours() -> dict[str, str]:
 def pdf_pages(figures: Sequence[Figure]) -> bytes:
     """The figures as one PDF, a page each, as vectors; the same bytes for the same figures."""
     buffer = io.BytesIO()
-    with mpl.rc_context(RC), PdfPages(buffer, metadata={"CreationDate": None, "Creator": None}) as pages:
+    with mpl.rc_context(_rc()), PdfPages(buffer, metadata={"CreationDate": None, "Creator": None}) as pages:
         for figure in figures:
             FigureCanvasPdf(figure)
             pages.savefig(figure)
@@ -212,7 +220,7 @@ def pdf_pages(figures: Sequence[Figure]) -> bytes:
 
 def draw_equation(equation: Equation) -> Figure:
     """A displayed equation as a figure, by matplotlib's own mathematics."""
-    with mpl.rc_context({**RC, "mathtext.fontset": "stix"}):
+    with mpl.rc_context(_rc({"mathtext.fontset": "stix"})):
         figure = Figure(figsize=(WIDTH_MM * MM, 14.0 * MM))
         figure.text(0.04, 0.5, f"${equation.tex}$", fontsize=11.0, va="center")
     return figure
@@ -223,7 +231,7 @@ def write_files(charts: Sequence[Chart], folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for chart in charts:
-        with mpl.rc_context({**RC, "svg.hashsalt": chart.key}):
+        with mpl.rc_context(_rc({"svg.hashsalt": chart.key})):
             figure = draw(chart)
             for kind, metadata in (("svg", {"Date": None}), ("pdf", {"CreationDate": None}), ("png", {})):
                 path = folder / f"{chart.key}.{kind}"

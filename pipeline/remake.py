@@ -58,13 +58,12 @@ def remake(
 
 def remake_campaign(out: Path, exports: Exports = Exports()) -> None:
     """Make a campaign's reports and exports from its campaign.json and its stored passes."""
-    from . import (
-        report_campaign,
-    )  # late: a pass's reports do without its statistics, which are slow to import
+    # Late: a pass's reports do without a campaign's statistics, which are slow to import.
+    from . import report_campaign, report_campaign_parts
 
     with _beside(out, CAMPAIGN) as part:
         view = report_campaign.write_campaign_report(part)
-        _export(part, report_campaign.parts_of(view), exports)
+        _export(part, report_campaign_parts.parts_of(view), exports)
 
 
 def remake_pass(out: Path, exports: Exports) -> None:

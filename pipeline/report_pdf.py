@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from fpdf import FPDF
 from fpdf.enums import MethodReturnValue, XPos, YPos
@@ -45,7 +46,7 @@ class _Placed:
     y: float
 
 
-class _Sheet(FPDF):  # type: ignore[misc]
+class _Sheet(FPDF):
     """A4 with a running foot."""
 
     def __init__(self, short: str) -> None:
@@ -289,6 +290,7 @@ def _lines(sheet: _Sheet, text: str, width: float) -> list[str]:
     if not text or _text_width(sheet, text) <= width - 3.0:
         return [text]
     broken = sheet.multi_cell(width, LINE, text, dry_run=True, output=MethodReturnValue.LINES)
+    assert isinstance(broken, list)  # what LINES asks for
     return [str(line) for line in broken]
 
 
@@ -333,24 +335,28 @@ def _with_figures(document: bytes, placed: Sequence[_Placed], figures: bytes) ->
     return buffer.getvalue()
 
 
+def _inside(page: PageObject, name: str) -> Any:
+    """A page's entry, whatever kind of object it is."""
+    return page[name].get_object()
+
+
 def _stamp(writer: PdfWriter, page: PageObject, source: PageObject, item: _Placed, name: str) -> None:
     form = StreamObject()
-    form.set_data(source["/Contents"].get_object().get_data())
+    form.set_data(_inside(source, "/Contents").get_data())
     form.update(
         {
             NameObject("/Type"): NameObject("/XObject"),
             NameObject("/Subtype"): NameObject("/Form"),
             NameObject("/BBox"): ArrayObject(FloatObject(edge) for edge in source.mediabox),
-            NameObject("/Resources"): source["/Resources"].get_object().clone(writer),
+            NameObject("/Resources"): _inside(source, "/Resources").clone(writer),
         }
     )
-    resources = page["/Resources"].get_object()
-    forms = resources.setdefault(NameObject("/XObject"), DictionaryObject()).get_object()
+    forms = _inside(page, "/Resources").setdefault(NameObject("/XObject"), DictionaryObject()).get_object()
     forms[NameObject(name)] = writer._add_object(form.flate_encode())
     scale = item.picture.width / POINT / float(source.mediabox.width)
     left, bottom = item.x / POINT, (PAGE_HEIGHT - item.y - item.picture.height) / POINT
     drawing = StreamObject()
     drawing.set_data(f"q {scale:.6f} 0 0 {scale:.6f} {left:.4f} {bottom:.4f} cm {name} Do Q".encode())
-    parts = page["/Contents"]
-    kept = parts.get_object() if isinstance(parts.get_object(), ArrayObject) else [page.raw_get("/Contents")]
+    parts = _inside(page, "/Contents")
+    kept = list(parts) if isinstance(parts, ArrayObject) else [page.raw_get("/Contents")]
     page[NameObject("/Contents")] = ArrayObject([*kept, writer._add_object(drawing)])

@@ -33,7 +33,7 @@ def build(view: PassView) -> Section:
     stated: Block = Missing(NO_CONDITIONS)
     if conditions:
         stated = Table(
-            "conditions", "Conditions as the manifest states them", ("condition", "value"), conditions, False
+            "conditions", "Conditions as the manifest states them", ("condition", "value"), conditions
         )
     return Section("conditions", "Machine and conditions", (stated, _machine(view), _tyres(view)))
 
