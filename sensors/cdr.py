@@ -48,6 +48,8 @@ Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
 
 ENCAPSULATION = 4  # bytes in front of every payload; alignment counts from behind them
+MAX_LEAVES = 100_000  # fields of one message; a path of 10,000 poses still fits
+BLOCK = 8192  # messages that are grouped at once: bounds the work where every one has its own layout
 MAX_PAD = 3  # writers may round a payload up to a multiple of four bytes
 
 
@@ -196,15 +198,20 @@ class _Walk:
         size = int(dtype[1])
         if count != 0:  # an empty sequence is not aligned
             self.at = _aligned(self.at, size)
-        self.leaves[path] = Leaf(self.at, dtype, count)
+        self.note(path, Leaf(self.at, dtype, count))
         self.skip(size * (1 if count is None else count), path)
 
     def string(self, base: str, path: str) -> None:
         if base == "wstring":
             raise CdrError(f"{self.kind.name}: {path} is a wide string, which is not supported")
         length = self.prefix(path)
-        self.leaves[path] = Leaf(self.at, "S", max(length - 1, 0))
+        self.note(path, Leaf(self.at, "S", max(length - 1, 0)))
         self.skip(length, path)
+
+    def note(self, path: str, leaf: Leaf) -> None:
+        if len(self.leaves) >= MAX_LEAVES:
+            raise CdrError(f"{self.kind.name}: a message has more than {MAX_LEAVES} fields")
+        self.leaves[path] = leaf
 
     def prefix(self, path: str) -> int:
         self.at = _aligned(self.at, 4)
@@ -247,13 +254,19 @@ def layout_of(kind: MessageType, payload: bytes) -> Layout:
 
 
 def decode(kind: MessageType, payloads: Payloads, likely: Layout | None = None) -> Iterator[Group]:
-    """Payloads in groups of one layout, in the order of each group's first message.
+    """Payloads in groups of one layout, BLOCK messages at a time.
 
-    A recording whose strings keep their lengths is one group, read without a loop; in the worst case
-    every message is its own group. likely is a layout to try first: that of the chunk before.
+    A recording whose strings keep their lengths is one group a block, read without a loop; in the worst
+    case every message is its own group. likely is a layout to try first: that of the messages before.
     Raises CdrError naming the message that cannot be read.
     """
-    left = np.arange(len(payloads), dtype=np.int64)
+    for start in range(0, len(payloads), BLOCK):
+        for group in _groups(kind, payloads, np.arange(start, min(start + BLOCK, len(payloads))), likely):
+            likely = group.layout
+            yield group
+
+
+def _groups(kind: MessageType, payloads: Payloads, left: Ints, likely: Layout | None) -> Iterator[Group]:
     while left.size:
         layout = _layout(kind, payloads, int(left[0]), likely)
         alike = payloads.length[left] == layout.length

@@ -62,7 +62,7 @@ def message_type(name: str, text: str) -> MessageType:
     bodies.setdefault("builtin_interfaces/Time", "int32 sec\nuint32 nanosec")
     bodies.setdefault("builtin_interfaces/Duration", "int32 sec\nuint32 nanosec")
     types = {each: _fields(each, body, bodies) for each, body in bodies.items()}
-    _check_depth(top, types, ())
+    _check_depth(top, types, (), set())
     return MessageType(top, types)
 
 
@@ -86,6 +86,8 @@ def _field(owner: str, line: str, known: Mapping[str, str]) -> Field | None:
     if rest.startswith("="):  # a constant takes no space
         return None
     count = None if size is None else int(size) if size and not bounded else -1
+    if count == 0:  # not valid in ROS, and a type without bytes would let a message claim anything
+        raise CdrError(f"{owner}: {name} is an array of no elements")
     return Field(name, _resolve(owner, base, known), count)
 
 
@@ -100,8 +102,11 @@ def _resolve(owner: str, base: str, known: Mapping[str, str]) -> str:
     raise CdrError(f"{owner}: the definition of {base!r} is missing from the schema")
 
 
-def _check_depth(name: str, types: Mapping[str, tuple[Field, ...]], above: tuple[str, ...]) -> None:
+def _check_depth(
+    name: str, types: Mapping[str, tuple[Field, ...]], above: tuple[str, ...], done: set[str]
+) -> None:
     if name in above or len(above) > MAX_DEPTH:
         raise CdrError(f"{name}: the definition contains itself")
-    for inner in {each.base for each in types[name] if each.base in types}:
-        _check_depth(inner, types, (*above, name))
+    for inner in {each.base for each in types[name] if each.base in types} - done:
+        _check_depth(inner, types, (*above, name), done)
+    done.add(name)

@@ -13,6 +13,7 @@ from log_samples import STORE, imu, joints
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from smts_validate.sensors.cdr import (
+    BLOCK,
     Payloads,
     decode,
     encode,
@@ -160,6 +161,15 @@ def test_messages_of_other_lengths_are_groups_of_their_own_and_none_is_lost() ->
     assert found.tolist() == list(range(9))
 
 
+def test_many_messages_of_many_layouts_are_all_read() -> None:
+    n = 3 * BLOCK // 2
+    mixed = [each for i in range(0, n, 64) for each in imus(64, "x" * (i % 11), i)]
+    found = np.full(len(mixed), np.nan)
+    for group in decode(known("sensor_msgs/msg/Imu"), packed(mixed)):
+        found[group.rows] = group.column("linear_acceleration.x")
+    assert np.array_equal(found, np.arange(len(mixed)))
+
+
 def test_equal_lengths_do_not_hide_other_prefixes() -> None:
     # two names of 3 and 5 letters against two of 5 and 3: the same length, other offsets
     name = "sensor_msgs/msg/JointState"
@@ -263,11 +273,27 @@ float32 x
         ("float64", "cannot read"),
         ("Self again", "contains itself"),
         ("Self[] again", "contains itself"),
+        ("uint8[0] nothing", "array of no elements"),
     ],
 )
 def test_definitions_that_cannot_be_used_are_refused_by_name(text: str, what: str) -> None:
     with pytest.raises(CdrError, match=what):
         message_type("demo_msgs/msg/Self", text)
+
+
+def test_definitions_that_branch_at_every_level_are_checked_in_no_time() -> None:
+    # 2^24 ways down from the top, but only 25 types
+    levels = [f"T{i + 1} a\nT{i + 1} b\n" for i in range(24)] + ["uint8 x\n"]
+    parts = [levels[0]] + [f"MSG: demo_msgs/T{i}\n{body}" for i, body in enumerate(levels) if i]
+    kind = message_type("demo_msgs/msg/T0", f"\n{'=' * 80}\n".join(parts))
+    with pytest.raises(CdrError, match="more than 100000 fields"):
+        layout_of(kind, b"\x00\x01\x00\x00" + bytes(2**20))
+
+
+def test_arrays_that_claim_more_elements_than_bytes_are_refused_at_once() -> None:
+    text = "Point[2000000000] points\n" + "=" * 80 + "\nMSG: demo_msgs/Point\nuint8 x\n"
+    with pytest.raises(CdrError, match="ends inside"):
+        layout_of(message_type("demo_msgs/msg/Demo", text), b"\x00\x01\x00\x00" + bytes(50))
 
 
 def test_an_empty_message_takes_the_one_byte_that_ros_gives_it() -> None:
