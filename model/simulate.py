@@ -192,22 +192,12 @@ def simulate_batch(
     drivers : one a run, in place of controls.driver
     All but `samples` and `spacing` broadcast over runs.
     """
-    state = np.array(initial, dtype=np.float64, order="C")
-    if state.ndim != 2 or state.shape[1] != at.STATE_SIZE or not np.isfinite(state).all():
-        raise SimulationError(
-            f"initial has shape {state.shape}; it must be finite numbers of shape (runs, 8)"
-        )
+    state = _checked_state(initial)
     every = max(int(np.ceil(spacing / settings.step - 1e-9)), 1)
     step = spacing / every
     many = [machines] if isinstance(machines, Machine) else list(machines)
     who = [controls.driver] if drivers is None else list(drivers)
-    for name, given in (("machines", many), ("drivers", who)):
-        if len(given) not in (1, len(state)):
-            raise SimulationError(
-                f"{name} has {len(given)} entries for {len(state)} runs; give one, or one a run"
-            )
-    if len({m.seeder is None for m in many}) > 1:
-        raise SimulationError("machines must all have a seeder or none")
+    _require_counts(len(state), many, who)
     change = _changes(
         len(state), start, steer_offset, steer_scale, speed_scale, speed_offset, steer_row, force_row,
         force_scale,
@@ -225,15 +215,30 @@ def simulate_batch(
     return batch_run(many, change[:, at.START, None] + spacing * np.arange(samples), out, good)
 
 
+def _checked_state(initial: Floats) -> Floats:
+    state = np.array(initial, dtype=np.float64, order="C")
+    if state.ndim != 2 or state.shape[1] != at.STATE_SIZE or not np.isfinite(state).all():
+        raise SimulationError(f"initial has shape {state.shape}; it must be finite and of shape (runs, 8)")
+    return state
+
+
+def _require_counts(runs: int, machines: Sequence[Machine], drivers: Sequence[Driver | None]) -> None:
+    for name, count in (("machines", len(machines)), ("drivers", len(drivers))):
+        if count not in (1, runs):
+            raise SimulationError(f"{name} has {count} entries for {runs} runs; give one, or one a run")
+    if len({machine.seeder is None for machine in machines}) > 1:
+        raise SimulationError("machines must all have a seeder or none")
+
+
 def _changes(runs: int, *columns: ArrayLike) -> Floats:
     return np.stack([np.broadcast_to(np.asarray(c, dtype=np.float64), (runs,)) for c in columns], axis=1)
 
 
 def _require_rows(change: Floats, tables: at.Tables) -> None:
-    rows = max(len(tables.time_force), len(tables.distance_force))
+    forces = [len(table) for table in (tables.time_force, tables.distance_force) if table.shape[1] > 0]
     for name, column, count in (
         ("steer_row", at.STEER_ROW, len(tables.steer)),
-        ("force_row", at.FORCE_ROW, rows),
+        ("force_row", at.FORCE_ROW, min(forces, default=1)),
     ):
         used = change[:, column]
         if not ((used >= 0) & (used < count)).all():

@@ -355,3 +355,19 @@ def test_static_loads_carry_the_whole_weight_and_no_moment():
         axles = zip(loads.seeder, s.com_to_axle, strict=True)
         about_hitch = sum(2.0 * n * (s.hitch_to_com + a) for n, a in axles)
         assert about_hitch == pytest.approx(9.80665 * s.mass * s.hitch_to_com)
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ({"force_row": [0, 2]}, "force_row must lie between 0 and 0"),
+        ({"steer_row": [0, 1]}, "steer_row must lie between 0 and 0"),
+        ({"machines": [trailed()] * 3}, "machines has 3 entries for 2 runs"),
+        ({"machines": [trailed(), alone()]}, "all have a seeder or none"),
+        ({"initial": ROLLING}, r"initial has shape \(8,\)"),
+    ],
+)
+def test_batches_that_do_not_fit_together_are_refused(choice, message):
+    arguments = {"machines": trailed(), "initial": np.stack([ROLLING] * 2)} | choice
+    with pytest.raises(SimulationError, match=message):
+        simulate_batch(controls=rough(1.0), samples=3, spacing=0.1, **arguments)
