@@ -15,6 +15,7 @@ from log_samples import a_log, assert_same
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from smts_validate.sensors.cdr import CdrError
+from smts_validate.sensors.ingest import read_pass
 from smts_validate.sensors.log import (
     Attachment,
     Channel,
@@ -230,3 +231,17 @@ def test_what_ingest_found_rides_along_as_json(log: FieldLog, path: Path) -> Non
     told = json.loads(found["ingest.json"])
     assert told["health"] == log.health
     assert told["warnings"][0]["what"] == "3 samples lost"
+
+
+def test_a_pass_from_its_log_is_the_pass_from_its_raw_files(tmp_path: Path) -> None:
+    samples = Path(__file__).resolve().parents[2] / "data_samples"
+    folder = sorted(path.parent for path in samples.rglob("run.toml"))[0]
+    raw = read_pass(folder)
+    write_log(tmp_path / "a.mcap", raw)
+    again = read_log(tmp_path / "a.mcap")
+    assert_same(raw, again)
+    assert (again.manifest_text, again.warnings, again.health) == (
+        raw.manifest_text,
+        raw.warnings,
+        raw.health,
+    )
