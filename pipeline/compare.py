@@ -285,7 +285,10 @@ def effective_count(values: Floats) -> float:
     autocovariance = np.fft.irfft(spectrum)[: lags + 1]
     rho = autocovariance[1:] / autocovariance[0]
     share = 1.0 - np.arange(1, lags + 1) / count
-    return float(np.clip(count / (1.0 + 2.0 * np.sum(share * rho**2)), 1.0, count))
+    # An estimated ρ has variance (1 + 2·Σρ²)/N (Bartlett), which its square adds: that much is taken off
+    # again.
+    ratio = (1.0 + 2.0 * np.sum(share * rho**2)) / (1.0 + 2.0 * np.sum(share) / count)
+    return float(np.clip(count / ratio, 1.0, count))
 
 
 def discrepancies(comparison: Comparison, arrays: str) -> dict[str, float]:

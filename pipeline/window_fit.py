@@ -15,7 +15,7 @@ from ..model.trailed import imposed_from_body, simulate_trailed_batch
 from . import grid as on_grid
 from .alignment import Alignment, align, align_freely
 from .fusion.motion import Motion
-from .grid import Part, RowGrid
+from .grid import Part, RowGrid, stacked_simulated
 from .replay import (
     OVERRUN,
     Drive,
@@ -110,7 +110,7 @@ def fit_windows(context: Context, horizon: float, fine: bool) -> tuple[WindowFit
     drive = drive if fine else coarse(drive)
     nominal = nominal_run(context, drive, windows)
     start = residuals(nominal, parts, context)
-    slopes = sensitivities(context, drive, windows, parts, nominal)
+    slopes = sensitivities(context, drive, windows, parts)
     found = [_aligned(context, w, p, r, j) for w, p, r, j in zip(windows, parts, start, slopes, strict=True)]
     final, bounded = _moved(context, drive, windows, parts, nominal, start, slopes, found)
     return tuple(
@@ -175,9 +175,7 @@ def trailed_run(
 def residuals(run: BatchRun, parts: Sequence[tuple[Part, ...]], context: Context) -> list[Floats]:
     """Simulated − measured of each window, stacked."""
     row = context.grid.row
-    return [
-        on_grid.stacked_simulated(p, row, run, i) - on_grid.stacked_measured(p) for i, p in enumerate(parts)
-    ]
+    return [stacked_simulated(p, row, run, i) - on_grid.stacked_measured(p) for i, p in enumerate(parts)]
 
 
 def rigid_sensitivity(window: Window, parts: Sequence[Part]) -> Floats:
@@ -198,22 +196,22 @@ def sensitivities(
     drive: Drive,
     windows: Sequence[Window],
     parts: Sequence[tuple[Part, ...]],
-    nominal: BatchRun,
 ) -> list[Floats]:
-    """(N, 3) of each window to θ, the steering offset's by a finite difference; (N, 2) without a tractor
+    """(N, 3) of each window to θ, the steering offset's by a central difference; (N, 2) without a tractor
     model."""
     rigid = [rigid_sensitivity(w, p) for w, p in zip(windows, parts, strict=True)]
     if context.trailed:
         return rigid
     initial = initial_states(context.motion, windows)
-    steered = run_windows(context.machine, drive, context.motion, windows, initial, steer_offset=STEER_STEP)
+    left, right = (
+        run_windows(context.machine, drive, context.motion, windows, initial, steer_offset=step)
+        for step in (STEER_STEP, -STEER_STEP)
+    )
     row = context.grid.row
     slopes = []
     for i, part in enumerate(parts):
-        change = on_grid.stacked_simulated(part, row, steered, i) - on_grid.stacked_simulated(
-            part, row, nominal, i
-        )
-        slopes.append(np.column_stack((rigid[i], change / STEER_STEP)))
+        change = stacked_simulated(part, row, left, i) - stacked_simulated(part, row, right, i)
+        slopes.append(np.column_stack((rigid[i], change / (2.0 * STEER_STEP))))
     return slopes
 
 
