@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, ParamSpec, TypeVar
 
@@ -64,12 +65,12 @@ class WorkerSlots(Executor):
         self, fn: Callable[Params, Value], /, *args: Params.args, **kwargs: Params.kwargs
     ) -> Future[Value]:
         """Run `fn` in the next free worker; its future raises BrokenProcessPool when that worker died."""
-        return self._threads.submit(self._in_own_process, fn, *args, **kwargs)
+        return self._threads.submit(partial(self._in_own_process, partial(fn, *args, **kwargs)))
 
-    def _in_own_process(self, fn: Callable[..., Value], *args: Any, **kwargs: Any) -> Value:
+    def _in_own_process(self, call: Callable[[], Value]) -> Value:
         pool = getattr(self._slot, "pool", None) or self._new_pool()
         try:
-            return pool.submit(fn, *args, **kwargs).result()
+            return pool.submit(call).result()
         except BrokenProcessPool:
             self._slot.pool = None
             pool.shutdown(wait=False)
@@ -115,8 +116,10 @@ def dask_executor(address: str, timeout: float = 15.0) -> tuple[Executor, int]:
         from distributed import Client
     except ImportError:
         raise ClusterError("--scheduler needs Dask: pip install 'smts-validate[cluster]'") from None
+    client: Any
+    connect: Any = Client  # untyped in Dask
     try:
-        client = Client(address, timeout=f"{timeout}s", set_as_default=False)
+        client = connect(address, timeout=f"{timeout}s", set_as_default=False)
     except (OSError, ValueError) as error:
         raise ClusterError(
             f"{address}: no Dask scheduler answers there ({error}); start `dask scheduler`"

@@ -105,7 +105,8 @@ def _manifest_text(source: Source) -> str:
 
 def _carried(log: Path) -> str:
     """The run.toml that rides along in a log."""
-    from ..sensors.mcap_scan import McapError, open_recording
+    from ..sensors.mcap_records import McapError
+    from ..sensors.mcap_scan import open_recording
 
     try:
         attachments = open_recording(log).attachments

@@ -24,6 +24,7 @@ from .batch_find import RESULT_MARK, filesystem, is_url
 PASSES = "passes"
 WORK = ".work"
 LOCK = ".lock"
+SUMMED_UP = (RESULT_MARK, "run.toml", "comparison.parquet")  # what a campaign needs of a result
 
 
 class Store(Protocol):
@@ -47,7 +48,8 @@ class Store(Protocol):
         ...
 
     def local(self, runs: list[str]) -> Any:
-        """Context: a local folder laid out as OUT, with the results of `runs`; files at its top are kept."""
+        """Context: a local folder laid out as OUT, with what a campaign needs of `runs`; files at its top
+        are kept."""
         ...
 
 
@@ -156,11 +158,14 @@ class RemoteStore:
 
     @contextmanager
     def local(self, runs: list[str]) -> Iterator[Path]:
-        """A temporary copy of the stored results; files at its top are uploaded to OUT at the end."""
+        """A temporary copy of what a campaign needs; files at its top are uploaded to OUT at the end."""
         with tempfile.TemporaryDirectory(prefix="smts-") as folder:
             for run in runs:
-                system, source = self._at(PASSES, run)
-                system.get(source.rstrip("/") + "/", str(Path(folder) / PASSES / run), recursive=True)
+                (Path(folder) / PASSES / run).mkdir(parents=True)
+                for name in SUMMED_UP:
+                    system, source = self._at(PASSES, run, name)
+                    if system.exists(source):
+                        system.get_file(source, str(Path(folder) / PASSES / run / name))
             yield Path(folder)
             system, target = self._at()
             for path in sorted(Path(folder).iterdir()):

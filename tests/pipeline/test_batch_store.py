@@ -18,7 +18,7 @@ from smts_validate.pipeline.batch_store import open_store, work_folder
 def write_result(folder: Path, mark: str) -> None:
     folder.mkdir()
     (folder / "metrics.json").write_text(json.dumps({"provenance": {"fingerprint": mark}}), encoding="utf-8")
-    (folder / "trajectory.parquet").write_bytes(mark.encode())
+    (folder / "comparison.parquet").write_bytes(mark.encode())
 
 
 @pytest.mark.parametrize("kind", ["folder", "memory"])
@@ -31,7 +31,7 @@ def test_a_result_appears_whole_and_is_replaced_whole(kind: str, tmp_path: Path)
             write_result(path, mark)
         assert store.fingerprint("one") == mark
     with store.local(["one"]) as local:
-        assert (local / "passes" / "one" / "trajectory.parquet").read_bytes() == b"second"
+        assert (local / "passes" / "one" / "comparison.parquet").read_bytes() == b"second"
 
 
 @pytest.mark.parametrize("kind", ["folder", "memory"])
@@ -67,7 +67,7 @@ def test_an_upload_that_is_cut_short_is_no_result() -> None:
         patch.setattr(type(system), "pipe_file", noting)
         with store.writing("one") as path:
             write_result(path, "new")
-    assert order == ["trajectory.parquet", "metrics.json"]
+    assert order == ["comparison.parquet", "metrics.json"]
 
 
 def test_the_work_folder_is_gone_at_the_end_and_dead_batches_are_swept(tmp_path: Path) -> None:
