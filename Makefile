@@ -35,8 +35,7 @@ bench: install-dev
 
 FUZZ_SECONDS ?= 60
 fuzz: install-fuzz
-	@for script in fuzz/*.py; do echo "== $$script"; \
-	  $(BIN)/python $$script -max_total_time=$(FUZZ_SECONDS) || exit 1; done
+	$(BIN)/python fuzz/run.py --seconds $(FUZZ_SECONDS)
 
 install: $(VENV)/.installed-run
 install-dev: $(VENV)/.installed-all

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from .checks import rows_of
@@ -23,6 +24,13 @@ def utc_of_gps_time(gps: Floats) -> Floats:
     """GPS time written as Unix seconds -> UTC, for dates since 1999."""
     step = np.clip(np.searchsorted(LEAP_DAYS, gps, side="right") - 1, 0, LEAP_SECONDS.size - 1)
     return np.asarray(gps - LEAP_SECONDS[step])
+
+
+def unix_seconds(moments: pd.Series[pd.Timestamp]) -> Floats:
+    """UTC moments as Unix seconds, NaN where there is none."""
+    micros = moments.dt.tz_localize(None).to_numpy().astype("datetime64[us]")
+    seconds = micros.astype(np.int64) * 1.0e-6
+    return np.where(np.isnat(micros), np.nan, seconds)
 
 
 def to_yaw(compass_deg: Floats) -> Floats:

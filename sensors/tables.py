@@ -173,7 +173,8 @@ def _whole(column: pa.ChunkedArray) -> tuple[Ints, Bools]:
     if not _mostly(cells):
         return _rounded(_coerced(column))
     whole = np.zeros(cells.size, dtype=np.int64)
-    whole[cells] = pc.utf8_trim_whitespace(column.filter(pa.array(cells))).cast(pa.int64()).to_numpy()
+    digits = pc.utf8_ltrim(pc.utf8_trim_whitespace(column.filter(pa.array(cells))), characters="+")
+    whole[cells] = digits.cast(pa.int64()).to_numpy()
     return whole, cells
 
 

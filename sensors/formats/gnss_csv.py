@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from ..checks import SECONDS, YEAR_2000, YEAR_2100, dropped_lines, times_ns
-from ..gnss_values import epochs, to_yaw
+from ..gnss_values import epochs, to_yaw, unix_seconds
 from ..manifest import Gps, Sensor
 from ..raw import Floats, RawError, RawGnss
 from ..tables import Header, Table, find_header, parse_table, read_text
@@ -123,4 +123,4 @@ def _scaled(number: Floats) -> Floats:
 def _iso(table: Table, column: str) -> Floats:
     text = pd.Series(table.columns[column].to_numpy(zero_copy_only=False), dtype=object)
     moment = pd.to_datetime(text, errors="coerce", utc=True, format="ISO8601")
-    return np.asarray((moment - pd.Timestamp(0, tz="UTC")).dt.total_seconds(), dtype=np.float64)
+    return unix_seconds(moment)

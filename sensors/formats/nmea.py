@@ -47,7 +47,7 @@ def read(path: Path, sensor: Sensor, name: str, date: dt.date) -> RawGnss:
 
 def parse(text: bytes, file: str, name: str, date: dt.date) -> RawGnss:
     """The epochs in a log's bytes; see `read`."""
-    data = np.frombuffer(text, dtype=np.uint8)
+    data = np.frombuffer(text or b"\n", dtype=np.uint8)
     sentences, refused, passed_over = scan(data, KINDS)
     fields, sentences, refused = _understood(sentences, refused)
     if not np.isin(sentences.kind, PLACED).any():

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from ..checks import rows_of
-from ..gnss_values import epochs, to_yaw, utc_of_gps_time
+from ..gnss_values import epochs, to_yaw, unix_seconds, utc_of_gps_time
 from ..manifest import Gps, Sensor
 from ..raw import Floats, RawError, RawGnss
 from ..streams import Warn
@@ -89,8 +89,7 @@ def _utc(frame: pd.DataFrame, scale: str) -> Floats:
             errors="coerce",
             utc=True,
         )
-        seconds = (moment - pd.Timestamp(0, tz="UTC")).dt.total_seconds()
-        time = np.asarray(seconds, dtype=np.float64)
+        time = unix_seconds(moment)
     else:
         time = GPS_EPOCH + WEEK * _numbers(frame, "date") + _numbers(frame, "clock")
     return time if scale.startswith("UTC") else utc_of_gps_time(time)
