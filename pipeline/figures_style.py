@@ -29,25 +29,28 @@ MUTED = "#59636e"
 GRID = "#dfe3e8"
 
 PAGE_POINTS = 700  # instants that an interactive chart holds
+BAND_SPANS = 1.5  # of the curves' range: a band is drawn no further beyond them
 STILL_POINTS = 360  # instants that a still picture draws
 
 
 @dataclass(frozen=True)
 class Thinned:
-    """A chart ready to draw, and how many of how many points it draws (equal: all)."""
+    """A chart ready to draw, how many of how many points it draws, and whether a band was cut."""
 
     chart: Chart
     drawn: int
     points: int
+    cut: bool = False
 
     @property
     def note(self) -> str:
-        """What the caption must say about the thinning; empty when nothing was left out."""
+        """What the caption must say about what is not drawn; empty when nothing was left out."""
+        band = " The band reaches beyond what is drawn." if self.cut else ""
         if self.drawn >= self.points:
-            return ""
+            return band
         return (
             f" Long series are drawn by the least and the greatest value of each stretch "
-            f"({self.drawn:,} of {self.points:,} points)."
+            f"({self.drawn:,} of {self.points:,} points).{band}"
         )
 
 
@@ -102,8 +105,32 @@ def _part(curve: Curve, keep: NDArray[np.intp]) -> Curve:
 
 def thin(chart: Chart, most: int) -> Thinned:
     """The chart with every long curve thinned."""
-    thinned = replace(chart, panels=tuple(thin_panel(panel, most) for panel in chart.panels))
-    return Thinned(thinned, _count(thinned.panels), _count(chart.panels))
+    panels = tuple(thin_panel(panel, most) for panel in chart.panels)
+    bounded = tuple(cut_bands(panel) for panel in panels)
+    cut = any(after is not before for after, before in zip(bounded, panels, strict=True))
+    thinned = replace(chart, panels=bounded)
+    return Thinned(thinned, _count(panels), _count(chart.panels), cut)
+
+
+def cut_bands(panel: Panel) -> Panel:
+    """The panel with bands cut where they would dwarf its curves: `BAND_SPANS` of their range beyond them."""
+    values = np.concatenate([curve.y for curve in panel.curves if curve.style != "none"] or [np.empty(0)])
+    values = values[np.isfinite(values)]
+    if panel.log_y or values.size == 0:
+        return panel
+    low, high = float(values.min()), float(values.max())
+    room = BAND_SPANS * (high - low)
+    bands = [edge for curve in panel.curves for edge in (curve.low, curve.high) if edge is not None]
+    beyond = any(np.nanmin(edge) < low - room or np.nanmax(edge) > high + room for edge in bands if edge.size)
+    if not beyond or not room > 0.0:
+        return panel
+    return replace(panel, curves=tuple(_cut(curve, low - room, high + room) for curve in panel.curves))
+
+
+def _cut(curve: Curve, low: float, high: float) -> Curve:
+    if curve.low is None or curve.high is None:
+        return curve
+    return replace(curve, low=np.clip(curve.low, low, high), high=np.clip(curve.high, low, high))
 
 
 def _count(panels: Sequence[Panel]) -> int:

@@ -7,7 +7,7 @@ from typing import Any
 
 from .report_head import Head, Number
 from .report_view import PassView
-from .sections._common import deep, number, percent, sentence
+from .sections._common import deep, number, percent, sentence, small
 
 PAPER = {"trajectory": 11.0, "yaw": 9.0}  # %, the paper's own figures
 NAMES = {"trajectory": "Trajectory discrepancy", "yaw": "Turning angle discrepancy"}
@@ -69,6 +69,13 @@ def _tested(view: PassView) -> str:
     return f"{place}. {what.capitalize()} at {operating.speed:g} m/s{length}, {pressure}."
 
 
+def _body(view: PassView, kind: str, b: str, value: Any) -> str:
+    """One body's percentage; where the swing is too small for one, its root mean square error."""
+    response = {"trajectory": "deviation", "yaw": "yaw"}[kind] + b
+    rmse = deep(view.metrics, "responses", response, "rmse")
+    return percent(value) if value is not None or rmse is None else f"RMSE {small(rmse, response)}"
+
+
 def _number(view: PassView, kind: str) -> Number:
     found: Mapping[str, Any] = deep(view.metrics, "discrepancy", kind) or {}
     interval = found.get("interval")
@@ -79,7 +86,8 @@ def _number(view: PassView, kind: str) -> Number:
     threshold = deep(view.metrics, "verdict", "threshold_percent") or deep(
         view.metrics, "comparison", "threshold_percent"
     )
-    details = [("tractor", percent(found.get("body1"))), ("seeder", percent(found.get("body2")))]
+    bodies = [("tractor", "1"), ("seeder", "2")]
+    details = [(name, _body(view, kind, b, found.get(f"body{b}"))) for name, b in bodies]
     if view.manifest.machine.seeder is None:
         details.pop()
     details += [("paper", percent(PAPER[kind], 0))]

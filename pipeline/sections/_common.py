@@ -17,6 +17,15 @@ ROW_GAP = 5.0  # m left empty between joined rows
 NO_ROW = "This log holds no row that could be compared (a straight stretch of 60 m or more at working speed)."
 
 
+def nothing_compared(view: PassView) -> str:
+    """Why there is no comparison: no row was found, or each was excluded for a reason."""
+    excluded = deep(view.metrics, "comparison", "excluded") or []
+    if not excluded:
+        return NO_ROW
+    words = "; ".join(f"row {entry['row']}: {entry['reason']}" for entry in excluded)
+    return f"No row was compared. {sentence(words)}"
+
+
 def number(value: Any, digits: int = 2, unit: str = "", absent: str = "–") -> str:
     """A number for print with its unit; a dash where there is none."""
     if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):

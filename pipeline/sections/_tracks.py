@@ -25,25 +25,28 @@ class Track:
 
 
 def measured(view: PassView, b: str) -> Track:
-    """The fused motion of body `b` inside rows."""
+    """The fused motion of body `b` inside rows, broken between rows."""
     t = view.trajectory
-    return _track(view, b, t, t[f"sd_n{b}"], t[f"sd_yaw{b}"])
+    return _track(view, b, t, t[f"sd_n{b}"], t[f"sd_yaw{b}"], np.zeros(t["t"].size))
 
 
 def simulated(view: PassView, b: str) -> Track | None:
-    """The model's motion of body `b` inside rows; None where nothing was simulated."""
+    """The model's motion of body `b`, broken between rows and windows; None where nothing was simulated."""
     columns = view.simulation
     if not np.isfinite(columns[f"n{b}"]).any():
         return None
     nothing = np.full(columns["t"].size, np.nan)
-    return _track(view, b, columns, nothing, nothing)
+    return _track(view, b, columns, nothing, nothing, np.nan_to_num(columns["window"], nan=-1.0))
 
 
-def _track(view: PassView, b: str, values: Columns, sd_n: Floats, sd_yaw: Floats) -> Track:
+def _track(view: PassView, b: str, values: Columns, sd_n: Floats, sd_yaw: Floats, window: Floats) -> Track:
     inside = values["row"] >= 0
     x = joined_distance(view, values["row"], values[f"s{b}"])[inside]
     yaw = relative_yaw(view, values["row"], values[f"yaw{b}"])[inside]
-    return Track(x, values[f"n{b}"][inside], yaw, sd_n[inside], sd_yaw[inside])
+    joins = np.flatnonzero(np.diff(values["row"][inside]) + np.diff(window[inside])) + 1
+    columns = (values[f"n{b}"][inside], yaw, sd_n[inside], sd_yaw[inside])
+    # A sample that is not there breaks the line where one row or window ends and the next begins.
+    return Track(np.insert(x, joins, x[joins]), *(np.insert(column, joins, np.nan) for column in columns))
 
 
 def row_starts(view: PassView) -> dict[int, tuple[float, float]]:

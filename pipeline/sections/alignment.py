@@ -10,7 +10,7 @@ import numpy as np
 
 from ..report_blocks import Block, Chart, Curve, Missing, Panel, Section, Table, Text
 from ..report_view import PassView
-from ._common import NO_ROW, RESPONSES, ROLES, deep, number, percent, responses_of
+from ._common import RESPONSES, ROLES, deep, nothing_compared, number, percent, responses_of
 
 KINDS = {
     "none": "nothing moves, the row in one piece",
@@ -27,7 +27,7 @@ def build(view: PassView) -> Section:
     names = responses_of(view)
     disclosure = view.metrics.get("disclosure") or {}
     if not names or not disclosure:
-        return Section("alignment", "Alignment and horizon", (Missing(NO_ROW),))
+        return Section("alignment", "Alignment and horizon", (Missing(nothing_compared(view)),))
     blocks: list[Block] = [Text(_within(view)), _table(disclosure, names)]
     windows = deep(view.metrics, "alignment", "windows") or []
     if windows:

@@ -8,7 +8,7 @@ from typing import Any
 from ..metrics import METRICS, Metric
 from ..report_blocks import Missing, Section, Table, Text
 from ..report_view import PassView
-from ._common import NO_ROW, RESPONSES, number, responses_of, small
+from ._common import RESPONSES, nothing_compared, number, responses_of, small
 
 WORDS = (
     "They accompany the headline and decide nothing. Each cell holds the model's value, and the "
@@ -54,7 +54,7 @@ def build(view: PassView) -> Section:
     found: Mapping[str, Values] = view.metrics.get("companions") or {}
     names = [n for n in responses_of(view) if n in found]
     if not names:
-        return Section("companions", "Companion metrics", (Missing(NO_ROW),))
+        return Section("companions", "Companion metrics", (Missing(nothing_compared(view)),))
     null: Mapping[str, Values] = view.metrics.get("companions_null") or {}
     rows = [
         (_label(metric, part), *(_cell(found[n], null.get(n, {}), metric, part, n) for n in names))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..report_blocks import Block, Missing, Section, Table, Text
 from ..report_view import PassView
-from ._common import NO_ROW, RESPONSES, deep, interval, percent, responses_of, small
+from ._common import RESPONSES, deep, interval, nothing_compared, percent, responses_of, small
 
 COLUMNS = ("response", "D", "interval", "straight line", "RMSE", "R95", "u", "u input")
 EXPLAINED = (
@@ -22,7 +22,7 @@ def build(view: PassView) -> Section:
     """The section."""
     names = responses_of(view)
     if not names:
-        return Section("discrepancies", "Discrepancies", (Missing(NO_ROW),))
+        return Section("discrepancies", "Discrepancies", (Missing(nothing_compared(view)),))
     blocks: tuple[Block, ...] = (Text(_rule(view)), _table(view, names), Text(EXPLAINED))
     if view.metrics.get("attribution"):
         blocks = (*blocks, Text(ATTRIBUTION), _attribution(view, names))

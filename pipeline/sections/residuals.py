@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..report_blocks import Chart, Curve, Missing, Panel, Section
 from ..report_view import BODY_NAMES, PassView
-from ._common import NO_ROW, deep, distance_label, responses_of, small
+from ._common import deep, distance_label, nothing_compared, responses_of, small
 from ._tracks import joined_distance
 
 Floats = NDArray[np.float64]
@@ -19,17 +19,9 @@ TITLES = {"n": "Residual of the deviation", "yaw": "Residual of the turning angl
 def build(view: PassView) -> Section:
     """The section."""
     if not view.comparison:
-        return Section("residuals", "Residuals", (Missing(_reason(view)),))
+        return Section("residuals", "Residuals", (Missing(nothing_compared(view)),))
     charts = tuple(_chart(view, *quantity) for quantity in QUANTITIES)
     return Section("residuals", "Residuals", charts)
-
-
-def _reason(view: PassView) -> str:
-    excluded = deep(view.metrics, "comparison", "excluded") or []
-    if not excluded:
-        return NO_ROW
-    words = "; ".join(f"row {entry['row']}: {entry['reason']}" for entry in excluded)
-    return f"No row was compared: {words}."
 
 
 def _chart(view: PassView, quantity: str, response: str, unit: str, factor: float) -> Chart:

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from ..report_blocks import Block, Chart, Curve, Missing, Panel, Role, Section, Style, Table, Text
 from ..report_view import PassView, PlotSeries
-from ._common import deep, number
+from ._common import deep, nothing_compared, number
 
 Floats = NDArray[np.float64]
 
 FINEST = 0.5  # 1/m: waves shorter than 2 m are the grid's and the smoother's, not the machine's
 HIGHEST = 10.0  # Hz: above, nothing of the paper's Fig. 5 and mostly vibration
-NONE = "No row was compared, so there are no spectra."
 SPATIAL = (
     "Spatial density of the deviation from the line: at which wavelengths the run is crooked. The "
     "displacement beside each peak is the rms of its half-power band."
@@ -37,7 +36,7 @@ RESPONSE = (
 def build(view: PassView) -> Section:
     """The section."""
     if not view.plots.get("spatial") and not view.plots.get("acceleration"):
-        return Section("spectra", "Spectra", (Missing(NONE),))
+        return Section("spectra", "Spectra", (Missing(nothing_compared(view)),))
     blocks = [*_spatial(view), *_acceleration(view), *_coherence(view), *_response(view)]
     return Section("spectra", "Spectra", tuple(blocks))
 
@@ -45,7 +44,7 @@ def build(view: PassView) -> Section:
 def _spatial(view: PassView) -> list[Block]:
     panels = _panels(view, "spatial", "m³", FINEST)
     if not panels:
-        return [Missing(NONE)]
+        return [Missing(nothing_compared(view))]
     chart = Chart(
         key="spectrum-deviation",
         title="Spatial density of the deviation",
