@@ -56,6 +56,8 @@ class Table(BaseModel):
 
 
 class Run(Table):
+    """Which pass this is."""
+
     id: RunId
     field: str = ""
     direction: str = ""
@@ -92,11 +94,15 @@ class Line(Table):
 
 
 class Operating(Table):
+    """What was set before the pass: speed (m/s) and the tractor's tyre pressure (MPa)."""
+
     speed: Positive
     tyre_pressure_mpa: Positive
 
 
 class Tractor(Table):
+    """The tractor: masses, lengths from its CoM, radii; SI."""
+
     mass: Positive
     yaw_inertia: Positive
     front_track: Positive
@@ -112,6 +118,8 @@ class Tractor(Table):
 
 
 class Seeder(Table):
+    """The seeder: masses, lengths from its CoM, its axles, its draft; SI."""
+
     mass: Positive
     yaw_inertia: Positive
     hitch_to_com: Positive
@@ -142,6 +150,8 @@ class Seeder(Table):
 
 
 class Tyre(Table):
+    """One wheel's tyre."""
+
     cornering_stiffness: Positive
     reference_pressure_mpa: Positive = 0.10
     pressure_exponent: Finite = 0.5
@@ -151,12 +161,16 @@ class Tyre(Table):
 
 
 class Tyres(Table):
+    """Tyres by axle."""
+
     front: Tyre
     rear: Tyre
     seeder: Tyre | None = None
 
 
 class Machine(Table):
+    """What moved: a tractor, with or without a seeder."""
+
     tractor: Tractor
     seeder: Seeder | None = None
     tyres: Tyres
@@ -169,6 +183,8 @@ class Machine(Table):
 
 
 class Units(Table):
+    """Units of a raw file's columns where they are not the default's."""
+
     accel: Literal["m/s2", "g"] = "m/s2"
     gyro: Literal["rad/s", "deg/s"] = "rad/s"
     mag: Literal["uT", "T", "gauss"] = "T"
@@ -217,6 +233,8 @@ class Sensor(Table):
 
 
 class Inertial(Sensor):
+    """An inertial unit: how it is turned, how fast, how noisy."""
+
     COLUMNS: ClassVar[tuple[str, ...]] = (
         *("t_host_ns", "t_dev_us", "seq"),
         *("ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz"),
@@ -231,18 +249,24 @@ class Inertial(Sensor):
 
 
 class Imd(Inertial):
+    """An inertial unit fixed to a body; position from the body's CoM, m."""
+
     kind: Literal["imd"]
     body: Body
     position: Vector
 
 
 class Wds(Inertial):
+    """An inertial unit in a wheel; offset from the hub's centre in the wheel's frame at phase 0, m."""
+
     kind: Literal["wds"]
     wheel: Wheel
     offset: Vector = (0.0, 0.0, 0.0)
 
 
 class Steer(Sensor):
+    """A steering sensor, and how good it is."""
+
     COLUMNS: ClassVar[tuple[str, ...]] = ("t_host_ns", "angle")
 
     kind: Literal["steer"]
@@ -253,6 +277,8 @@ class Steer(Sensor):
 
 
 class Gps(Sensor):
+    """A GNSS receiver; position of its antenna from the body's CoM, m."""
+
     COLUMNS: ClassVar[tuple[str, ...]] = (
         *("t_host_ns", "t", "lat", "lon", "alt", "quality", "sd_east", "sd_north", "sd_up"),
         *("speed", "course_deg", "heading_deg", "hdop", "satellites"),
