@@ -25,8 +25,10 @@ METADATA_KEY = b"smts"
 class LineLike(Protocol):
     """A row's line: a, b in m ENU in the direction of travel."""
 
-    a: Floats
-    b: Floats
+    @property
+    def a(self) -> Floats: ...
+    @property
+    def b(self) -> Floats: ...
 
     def project(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Chainage s along the line from a, and deviation n to its left, m."""
