@@ -57,6 +57,18 @@ def progress(message: str) -> None:
 
 
 @app.command()
+@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--force", is_flag=True, help="Write over a run.toml that is there.")
+@common
+def init(folder: Path, force: bool, as_json: bool) -> None:
+    """Draft a run.toml for a FOLDER of raw files, and say what was guessed and why."""
+    from .source import draft_pass
+
+    document = draft_pass(folder, force)
+    emit(document, as_json, lambda made: "\n".join([f"wrote {made['manifest']}", *made["reasons"]]))
+
+
+@app.command()
 @click.argument("passes", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("-o", "logs", required=True, type=click.Path(path_type=Path), help="Folder for the logs.")
 @common
@@ -219,6 +231,82 @@ def synth(
     folders = make(out, named=preset, plan=plan, campaign=campaign, seed=seed, run_id=run_id)
     document = {"passes": [str(folder) for folder in folders]}
     emit(document, as_json, lambda made: "\n".join(made["passes"]))
+
+
+@app.command()
+@click.option(
+    "--variant", "variants", multiple=True, metavar="a|b|c|FILE", help="Repeatable; default: all three."
+)
+@click.option("-o", "out", type=click.Path(path_type=Path), default="study", show_default=True)
+@common
+def simulate(variants: tuple[str, ...], out: Path, as_json: bool) -> None:
+    """The theoretical study: the paper's versions (or any TOML) over random soils, beside the paper's figures."""
+    from . import console
+    from .study_run import make_study
+
+    made = make_study(out, variants, progress=progress)
+    emit(console.study_values(out, made.files, (made.table,)), as_json, console.studied)
+
+
+@app.command()
+@click.option(
+    "--range", "ranges", multiple=True, metavar="NAME=LOW:HIGH", help="Repeatable; default: v, l5, Pw."
+)
+@click.option("--sampler", type=click.Choice(["grid", "latin", "sobol"]), default="sobol", show_default=True)
+@click.option("--count", type=click.IntRange(2), default=256, show_default=True, help="Designs.")
+@click.option("--soils", type=click.IntRange(2), default=16, show_default=True, help="Soils for each design.")
+@click.option("--base", default="b", show_default=True, metavar="a|b|c|FILE", help="Version that is changed.")
+@click.option("--index", default="r95_1", show_default=True, help="What counts as straight.")
+@click.option("-j", "workers", type=click.IntRange(1), help="Threads [one a core].")
+@click.option("-o", "out", type=click.Path(path_type=Path), default="sweep", show_default=True)
+@common
+def sweep(ranges: tuple[str, ...], out: Path, workers: int | None, as_json: bool, **options: Any) -> None:
+    """Sweep parameters of the model: which design runs the straightest, and by how much."""
+    from . import console
+    from .study_run import make_sweep
+
+    def say(done: int, total: int) -> None:
+        progress(f"{done} of {total} designs")
+
+    made = make_sweep(out, ranges, workers=workers or os.cpu_count() or 1, progress=say, **options)
+    emit(console.study_values(out, made.files, made.tables), as_json, console.studied)
+
+
+@app.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("-o", "out", type=click.Path(path_type=Path), help="Where to write it [FOLDER/run.toml].")
+@common
+def init(folder: Path, out: Path | None, as_json: bool) -> None:
+    """Look at a FOLDER of raw files and draft its run.toml, saying what was guessed and why."""
+    from .source import draft
+
+    path, reasons = draft(folder, out)
+    document = {"manifest": str(path), "guessed": reasons}
+    emit(document, as_json, lambda made: "\n".join([*made["guessed"], f"drafted: {made['manifest']}"]))
+
+
+@app.command()
+@click.argument("campaign", type=click.Path(path_type=Path))
+@click.option("-o", "out", type=click.Path(path_type=Path), default="plan", show_default=True)
+@click.option(
+    "--repeats", "repeats", multiple=True, type=click.IntRange(1), help="Numbers of repeats to try."
+)
+@click.option(
+    "--pilots", type=click.IntRange(2), default=6, show_default=True, help="Passes flown a version."
+)
+@click.option("-j", "workers", type=click.IntRange(0), help="Processes [one a core]; 0: in this process.")
+@common
+def plan(
+    campaign: Path, out: Path, repeats: tuple[int, ...], pilots: int, workers: int | None, as_json: bool
+) -> None:
+    """Forecast a CAMPAIGN plan (TOML, as for synth): each verdict's chance, each parameter's uncertainty."""
+    from . import console
+    from .planning import REPEATS
+    from .planning_report import plan_to_folder
+
+    count = os.cpu_count() or 1 if workers is None else workers
+    document = plan_to_folder(campaign, out, repeats or REPEATS, pilots, count, progress)
+    emit(document, as_json, console.planned)
 
 
 def main() -> None:

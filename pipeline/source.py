@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from ..sensors.draft import draft_manifest
 from ..sensors.ingest import read_pass
 from ..sensors.log import read_log, write_log
 from ..sensors.streams import FieldLog
@@ -22,6 +23,19 @@ def read_source(source: Path, manifest: Path | None = None) -> FieldLog:
     if source.is_dir() and manifest is None and (source / "run.toml").is_file():
         return read_pass(source)
     return read_log(source, manifest)
+
+
+def draft_pass(folder: Path, force: bool = False) -> dict[str, Any]:
+    """Write a first run.toml into a folder of raw files; its path and the reasons for what it says.
+
+    Raises SourceError : there is one already, and `force` is not given.
+    """
+    path = folder / "run.toml"
+    if path.exists() and not force:
+        raise SourceError(f"{path}: is there already; --force writes over it")
+    text, reasons = draft_manifest(folder)
+    path.write_text(text, encoding="utf-8")
+    return {"manifest": str(path), "reasons": reasons}
 
 
 def ingest_pass(folder: Path, logs: Path) -> dict[str, Any]:
@@ -48,3 +62,16 @@ def describe_log(log: FieldLog) -> dict[str, Any]:
         "health": dict(log.health),
         "warnings": [asdict(warning) for warning in log.warnings],
     }
+
+
+def draft(folder: Path, out: Path | None = None) -> tuple[Path, list[str]]:
+    """Draft the run.toml of a folder of raw files; gives its path and what was guessed, with reasons.
+
+    Raises SourceError rather than write over a file that is there.
+    """
+    path = folder / "run.toml" if out is None else out
+    if path.exists():
+        raise SourceError(f"{path}: is there already; give another name with -o")
+    text, reasons = draft_manifest(folder)
+    path.write_text(text, encoding="utf-8")
+    return path, reasons

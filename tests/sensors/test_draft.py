@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import datetime as dt
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -149,3 +152,17 @@ def test_the_examples_manifest_is_drafted_as_its_makers_wrote_it() -> None:
         assert getattr(run.sensors[name], "body", "") == getattr(sensor, "body", "")
     assert run.run.date == truth.run.date
     assert run.sensors["imd3"].rotation_deg == (180.0, 0.0, 0.0)  # type: ignore[union-attr]
+
+
+def test_init_writes_a_manifest_once_and_over_it_only_when_forced(tmp_path: Path) -> None:
+    folder = write_pass(tmp_path / "pass")
+    (folder / "run.toml").unlink()
+    command = [sys.executable, "-m", "smts_validate.pipeline.cli", "init", str(folder)]
+    first = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
+    assert any("gravity along +z" in reason for reason in json.loads(first.stdout)["reasons"])
+    assert manifest.read(folder / "run.toml")[0].run.id == "pass"
+    again = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert again.returncode == 1
+    assert "--force" in again.stderr
+    assert len(again.stderr.splitlines()) == 1
+    assert subprocess.run([*command, "--force"], capture_output=True, check=False).returncode == 0
