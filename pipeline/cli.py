@@ -234,13 +234,11 @@ def synth(
 
 
 @app.command()
-@click.option(
-    "--variant", "variants", multiple=True, metavar="a|b|c|FILE", help="Repeatable; default: all three."
-)
+@click.option("--variant", "variants", multiple=True, metavar="a|b|c|FILE", help="Repeatable [all three].")
 @click.option("-o", "out", type=click.Path(path_type=Path), default="study", show_default=True)
 @common
 def simulate(variants: tuple[str, ...], out: Path, as_json: bool) -> None:
-    """The theoretical study: the paper's versions (or any TOML) over random soils, beside the paper's figures."""
+    """The theoretical study: versions a, b, c (or a TOML) over random soils, beside the paper's figures."""
     from . import console
     from .study_run import make_study
 
@@ -249,9 +247,7 @@ def simulate(variants: tuple[str, ...], out: Path, as_json: bool) -> None:
 
 
 @app.command()
-@click.option(
-    "--range", "ranges", multiple=True, metavar="NAME=LOW:HIGH", help="Repeatable; default: v, l5, Pw."
-)
+@click.option("--range", "ranges", multiple=True, metavar="NAME=LOW:HIGH", help="Repeatable [v, l5, Pw].")
 @click.option("--sampler", type=click.Choice(["grid", "latin", "sobol"]), default="sobol", show_default=True)
 @click.option("--count", type=click.IntRange(2), default=256, show_default=True, help="Designs.")
 @click.option("--soils", type=click.IntRange(2), default=16, show_default=True, help="Soils for each design.")
@@ -273,27 +269,10 @@ def sweep(ranges: tuple[str, ...], out: Path, workers: int | None, as_json: bool
 
 
 @app.command()
-@click.argument("folder", type=click.Path(path_type=Path))
-@click.option("-o", "out", type=click.Path(path_type=Path), help="Where to write it [FOLDER/run.toml].")
-@common
-def init(folder: Path, out: Path | None, as_json: bool) -> None:
-    """Look at a FOLDER of raw files and draft its run.toml, saying what was guessed and why."""
-    from .source import draft
-
-    path, reasons = draft(folder, out)
-    document = {"manifest": str(path), "guessed": reasons}
-    emit(document, as_json, lambda made: "\n".join([*made["guessed"], f"drafted: {made['manifest']}"]))
-
-
-@app.command()
 @click.argument("campaign", type=click.Path(path_type=Path))
 @click.option("-o", "out", type=click.Path(path_type=Path), default="plan", show_default=True)
-@click.option(
-    "--repeats", "repeats", multiple=True, type=click.IntRange(1), help="Numbers of repeats to try."
-)
-@click.option(
-    "--pilots", type=click.IntRange(2), default=6, show_default=True, help="Passes flown a version."
-)
+@click.option("--repeats", "repeats", multiple=True, type=click.IntRange(1), help="Repeats to try.")
+@click.option("--pilots", type=click.IntRange(2), default=6, show_default=True, help="Passes a version.")
 @click.option("-j", "workers", type=click.IntRange(0), help="Processes [one a core]; 0: in this process.")
 @common
 def plan(

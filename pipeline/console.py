@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 Document = dict[str, Any]
@@ -109,3 +110,25 @@ def batched(document: Document) -> str:
     if document["report"]:
         lines.append(f"report: {document['report']}")
     return "\n".join(lines)
+
+
+def study_values(out: Path, files: Iterable[Path], tables: Iterable[Any]) -> Document:
+    """What a study or a sweep left, as plain values; a table has `caption`, `columns` and `rows`."""
+    values = [
+        {"caption": t.caption, "columns": list(t.columns), "rows": [list(r) for r in t.rows]} for t in tables
+    ]
+    return {"out": str(out), "tables": values, "files": [str(file) for file in files]}
+
+
+def studied(document: Document) -> str:
+    """The tables of a study or a sweep, and where its files are."""
+    tables = [f"{t['caption']}\n{table(t['columns'], t['rows'])}\n" for t in document["tables"]]
+    return "\n".join([*tables, f"{len(document['files'])} files in {document['out']}"])
+
+
+def planned(document: Document) -> str:
+    """The advice for each version of a planned campaign, and the report to open."""
+    lines = []
+    for variant in document["variants"]:
+        lines += [f"version {variant['variant']}:", *(f"  {line}" for line in variant["advice"])]
+    return "\n".join([*lines, f"report: {document['report']}"])

@@ -62,16 +62,3 @@ def describe_log(log: FieldLog) -> dict[str, Any]:
         "health": dict(log.health),
         "warnings": [asdict(warning) for warning in log.warnings],
     }
-
-
-def draft(folder: Path, out: Path | None = None) -> tuple[Path, list[str]]:
-    """Draft the run.toml of a folder of raw files; gives its path and what was guessed, with reasons.
-
-    Raises SourceError rather than write over a file that is there.
-    """
-    path = folder / "run.toml" if out is None else out
-    if path.exists():
-        raise SourceError(f"{path}: is there already; give another name with -o")
-    text, reasons = draft_manifest(folder)
-    path.write_text(text, encoding="utf-8")
-    return path, reasons
