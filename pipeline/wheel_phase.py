@@ -36,7 +36,7 @@ from .wheel_unit import (
 )
 
 BIAS, SCALE, TURN, FORCE_X, FORCE_Z, PLACE_X, PLACE_Z, GRAVITY_SCALE = range(8)
-COUNT, Y = 8, 0  # columns hold the measurement first, then the regressors in this order
+COUNT, DRIFTS, Y = 8, slice(0, 3), 0  # columns hold the measurement first, then the regressors in this order
 BIAS_WANDER = 1.0e-4**2  # rad²/s: what the axle gyro's bias instability adds to the phase's walk
 WANDER_LAG = 30.0  # s, over which gravity takes the phase's walk off again
 COARSE = 0.5  # s to either side, of the first look at the phase error
@@ -67,7 +67,8 @@ class _Case:
     """What the phase's error is sought from; accelerations in units of g.
 
     turned : integrated axle gyro; heading : integral of the yaw rate; lever : ω² + iα; along : α·radius;
-    step : the phase's walk; at_rest : what standing still says about the gyro's bias
+    step : the phase's walk; at_rest : what standing still says about the gyro's bias; seen : the force is
+    to be trusted
     """
 
     t: Floats
@@ -78,6 +79,7 @@ class _Case:
     along: Floats
     step: Floats
     rest: Bools
+    seen: Bools
     at_rest: Floats
 
 
@@ -123,6 +125,7 @@ def _case(unit: Unit, gyro: Floats, spin: Floats, noise: Floats, walk: float, re
         step=_phase_walk(unit, noise, walk)
         + np.diff(unit.t) * 2.0 * TILT_REACH * (TILT_SD * yaw_rate[1:]) ** 2,
         rest=rest,
+        seen=unit.plane_ok,
         at_rest=_rest_products(rest, noise),
     )
 
@@ -165,20 +168,18 @@ def _phase_error(case: _Case, doubt: Doubt) -> tuple[Floats, Floats, Constants]:
     Linear in everything but the error itself, which the first look gives to a few degrees: iterated.
     """
     error = _coarse_error(case.t, case.force, case.turned)
-    drift = np.zeros((case.t.size, 1 + COUNT))
-    drift[:, 1 + BIAS], drift[:, 1 + SCALE] = -(case.t - case.t.mean()), -case.turned
-    drift[:, 1 + TURN] = -case.heading
+    drift = -np.column_stack([case.t - case.t.mean(), case.turned, case.heading])
     residual = case.force * np.exp(-1j * (case.turned + error)) - 1.0
     size = CLUSTER * per_second(case.t)
     for _ in range(ITERATIONS):
-        radial, tangential = _columns(case, error)
+        radial, tangential = _columns(case, error, drift)
         noise = _force_noise(residual, case)
-        walked = smooth(tangential + drift, Walk(case.step, noise.imag), size)
+        walked = smooth(tangential, Walk(case.step, noise.imag), size)
         still = whitened_products(radial, noise.real, size)
         constants = solve([walked.products, still, case.at_rest], _prior(doubt))
         error, variance = signal(walked, constants, drift)
         left = np.append(1.0, -constants.value)
-        residual = radial @ left + 1j * (tangential @ left - error)
+        residual = radial @ left + 1j * (tangential @ left + drift @ constants.value[DRIFTS] - error)
     return error, variance, constants
 
 
@@ -188,10 +189,10 @@ def _prior(doubt: Doubt) -> Floats:
     return np.array([doubt.gyro_bias, doubt.gyro_scale, leaning, *force, *place, doubt.accel_scale])
 
 
-def _columns(case: _Case, error: Floats) -> tuple[Floats, Floats]:
+def _columns(case: _Case, error: Floats, drift: Floats) -> tuple[Floats, Floats]:
     """Measurement and regressors of the force turned back: radial and tangential, (N, 1+COUNT) each.
 
-    Tangential is linearised about `error`: sin(θ − θ̂) + error.
+    Tangential is linearised about `error`: sin(θ − θ̂) + error. drift : (N, 3) of the phase itself
     """
     back = np.exp(-1j * (case.turned + error))
     seen = case.force * back
@@ -203,6 +204,7 @@ def _columns(case: _Case, error: Floats) -> tuple[Floats, Floats]:
     radial[:, 1 + PLACE_X], tangential[:, 1 + PLACE_X] = -lever.imag, lever.real
     radial[:, 1 + PLACE_Z], tangential[:, 1 + PLACE_Z] = -lever.real, -lever.imag
     radial[:, 1 + GRAVITY_SCALE] = 1.0
+    tangential[:, 1 : 1 + drift.shape[1]] = drift
     return radial, tangential
 
 
@@ -217,7 +219,7 @@ def _force_noise(residual: Complexes, case: _Case) -> Complexes:
         radial = max(slow_noise(residual.real[state], size), 1.0e-10)
         tangential = max(slow_noise(residual.imag[state], size), 1.0e-10)
         noise[state] = radial + 1j * tangential
-    return noise
+    return np.where(case.seen, noise, complex(np.inf, np.inf))
 
 
 def _coarse_error(t: Floats, force: Complexes, turned: Floats) -> Floats:

@@ -159,10 +159,13 @@ def _clustering(products: Floats, value: Floats) -> float:
 def signal(channel: Smoothed, constants: Constants, direct: Floats | None = None) -> tuple[Floats, Floats]:
     """The walk's value and variance, constants taken off: s = S(y) − S(X)·β, with the doubt of β.
 
-    direct : (N, 1+m) columns of regressors that belong to the signal itself (a drift is part of the phase),
-    the first unused: s + direct·β
+    direct : (N, k) regressors of the first k constants that belong to the signal itself (a drift is part of
+    the phase): s + direct·β
     """
-    columns = channel.columns if direct is None else channel.columns - direct
+    columns = channel.columns
+    if direct is not None:
+        columns = columns.copy()
+        columns[:, 1 : 1 + direct.shape[1]] -= direct
     return columns @ np.append(1.0, -constants.value), channel.variance + _doubt(
         columns, constants.covariance
     )
@@ -184,18 +187,18 @@ def _doubt(columns: Floats, covariance: Floats) -> Floats:
     return doubt
 
 
-def fit_walk(t: Floats, y: Floats) -> tuple[float, float]:
+def fit_walk(t: Floats, y: Floats, lag_s: float = LAG) -> tuple[float, float]:
     """Noise of a channel from the channel itself: (variance of the white noise, walk in units²/s).
 
     White noise from third differences, in which a signal slower than a tenth of the sampling rate is gone
-    (their variance is 20 times the noise's); the walk from changes over `LAG` seconds less that noise. Both
+    (their variance is 20 times the noise's); the walk from changes over `lag_s` seconds less that noise. Both
     by median absolute deviations: a start, a stop or a few bad samples do not count.
     """
     if t.size < 2:
         return 0.0, 0.0
     dt = float(np.median(np.diff(t)))
     t, y = _thinned(t, y)
-    lag = max(round(LAG / dt), 1)
+    lag = max(round(lag_s / dt), 1)
     if y.size < 4 * lag:
         return 0.0, 0.0
     even = np.abs(np.diff(t) - dt) < 0.5 * dt

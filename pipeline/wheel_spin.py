@@ -12,7 +12,7 @@ from scipy.ndimage import median_filter
 
 from .wheel_phase import BIAS, BIAS_WANDER, SCALE, WANDER_LAG, Phase
 from .wheel_series import Floats, Walk, block_means, smooth
-from .wheel_unit import Bools, Unit, integrate, per_second, walk_of
+from .wheel_unit import Bools, Unit, integrate, per_second, running_mean, walk_of
 from .wheel_yaw import TILT_X, TILT_Z, YawRate
 
 UNSEEN = 20.0  # samples over which the carrier's swing is one error where its own unit has a gap
@@ -24,17 +24,26 @@ def hub_spin(unit: Unit, phase: Phase, yaw: YawRate, steered: bool) -> tuple[Flo
     tilt = yaw.constants.value
     across = unit.across.imag * tilt[TILT_X] + unit.across.real * tilt[TILT_Z]
     rate = phase.gyro + np.where(unit.across_ok, across - np.median(across), 0.0)
-    carried = _carried(unit, rate, _rough_angle(unit, yaw) if steered else 0.0, ~phase.rest)
+    angle = _rough_angle(unit, yaw) if steered else 0.0
+    carried = _carried(unit, rate, angle, ~phase.rest & unit.axle_ok & unit.carried)
     rate = rate - carried
     step, noise, _ = walk_of(unit.t, rate, phase.rest, unit.axle_ok)
-    if unit.carrier is not None:
-        noise = noise + np.where(unit.carried, 0.0, UNSEEN * float(np.mean(carried**2)))
-    seen = smooth(rate[:, None], Walk(step, np.where(unit.axle_ok, noise, np.inf)))
+    swing = _unseen_swing(unit, rate, carried)
+    seen = smooth(rate[:, None], Walk(step, np.where(unit.axle_ok, noise + UNSEEN * swing, np.inf)))
     spin = seen.columns[:, 0]
     shape = np.column_stack([np.ones_like(spin), spin])
     pair = np.ix_([BIAS, SCALE], [BIAS, SCALE])
     doubt = np.sum((shape @ phase.constants.covariance[pair]) * shape, axis=1)
-    return spin, np.sqrt(seen.variance + doubt + BIAS_WANDER / WANDER_LAG)
+    return spin, np.sqrt(seen.variance + doubt + BIAS_WANDER / WANDER_LAG + swing)
+
+
+def _unseen_swing(unit: Unit, rate: Floats, carried: Floats) -> Floats:
+    """Variance of the carrier's swing where its own unit did not see it: as elsewhere, or as the rate's
+    fast part.
+    """
+    if unit.carried.any():
+        return np.where(unit.carried, 0.0, float(np.mean(carried[unit.carried] ** 2)))
+    return np.full(rate.size, float(np.var(rate - running_mean(rate, per_second(unit.t) // 2))))
 
 
 def _rough_angle(unit: Unit, yaw: YawRate) -> Floats:
@@ -51,7 +60,7 @@ def _rough_angle(unit: Unit, yaw: YawRate) -> Floats:
     return np.asarray(apart - np.interp(unit.t, block_means(unit.t, size), middle))
 
 
-def _carried(unit: Unit, rate: Floats, angle: Floats | float, moving: Bools) -> Floats:
+def _carried(unit: Unit, rate: Floats, angle: Floats | float, usable: Bools) -> Floats:
     """What the axle's gyro shares with the carrier's rate about the axle: its image in it over changes of
     50 ms.
 
@@ -66,7 +75,7 @@ def _carried(unit: Unit, rate: Floats, angle: Floats | float, moving: Bools) -> 
         [pitch * np.cos(angle) - roll * np.sin(angle), roll * np.cos(angle) + pitch * np.sin(angle)]
     )
     lag = max(per_second(unit.t) // 20, 1)
-    both = moving[lag:] & moving[:-lag]
+    both = usable[lag:] & usable[:-lag]
     swing, seen = (x[lag:][both] - x[:-lag][both] for x in (turned, rate))
     power = swing.T @ swing
     if not np.linalg.det(power) > 0.0:

@@ -30,6 +30,7 @@ SCALE_SD = 0.01
 SINGLE_SCALE_SD = 0.03  # with one front wheel: how far the linkage departs from Ackermann's
 APART, APART_RATE = 0.1, 1.0e-3  # how far the wheels turn apart: share of the turn, and rad/s
 UNSEEN = 0.05  # rad²/s, walk of the steering angle where no wheel is seen
+STOPS = 0.6  # rad, of the steering: before anything is known
 DRIFT_ITERATIONS = 3
 TURNING = (
     3.0  # robust standard deviations of the steering angle beyond which its mean is not expected to be zero
@@ -117,7 +118,7 @@ def steering_angle(
     dt = np.diff(grid_t)
     walk = float(np.median(variance / dt))
     correlation_time = min(LONGEST, float(grid_t[-1] - grid_t[0]) / 3.0)
-    excess = np.maximum(drift_variance - np.median(drift_variance), 0.0)
+    excess = _beyond_walk(np.append(0.0, np.cumsum(np.maximum(variance - walk * dt, 0.0))), drift_variance)
     return WheelSteer(
         t=grid_t,
         angle=angle,
@@ -132,6 +133,16 @@ def steering_angle(
         scale_sd=SINGLE_SCALE_SD if single else SCALE_SD,
         calibration=calibration,
     )
+
+
+def _beyond_walk(grown: Floats, doubt: Floats) -> Floats:
+    """Variance that steps worse than the usual walk add between each instant and the middle of the pass.
+
+    grown : (N,) rad², sum of what those steps add; doubt : (N,) rad², of the slow mean that takes it off
+    again
+    """
+    between = np.minimum(np.abs(grown - np.median(grown)), 2.0 * doubt)
+    return np.asarray(np.maximum(between, doubt - np.median(doubt)))
 
 
 def _first_too(steps: Floats) -> Floats:
@@ -244,9 +255,9 @@ def _slow_mean(
         spread = max(robust_sd(swing[~standing]), float(MEAN_SD))
         straight = ~standing & (np.abs(swing) < TURNING * spread)
         slow = max(slow_noise(swing[straight], size), float(MEAN_SD) ** 2)
-        walked = smooth(columns, Walk(variance, np.where(straight, slow, np.inf)), 2 * size)
+        walked = smooth(columns, Walk(variance, np.where(straight, slow, np.inf), STOPS**2), 2 * size)
         scale = solve([walked.products], np.array([GYRO_SCALE_SD]))
-        error, doubt = signal(walked, scale, columns * np.array([0.0, 1.0]))
+        error, doubt = signal(walked, scale, columns[:, 1:])
         error = error + raw[0]
     return error, doubt
 
@@ -267,7 +278,7 @@ def sensor_angle(t: Floats, angle: Floats, noise_sd: float, grid_t: Floats) -> t
 
     noise_sd : rad, stated for a sample; the series' own noise is used where it shows more
     """
-    good = trusted(angle)
+    good = trusted(angle, np.array([np.inf]))
     fitted, walk = fit_walk(t[good], angle[good])
     noise = max(fitted, noise_sd**2)
     walk = max(walk, 1.0e-12)

@@ -11,13 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from ..sensors.manifest import GRAVITY
 from .wheel_series import Floats, block_means, fit_walk, robust_sd
 
 Complexes = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
 Series = TypeVar("Series", Floats, Complexes)
 
-FULL_SCALES = np.radians([250.0, 500.0, 1000.0, 2000.0, 4000.0])  # rad/s, of common gyros
+GYRO_SCALES = np.radians([250.0, 500.0, 1000.0, 2000.0, 4000.0])  # rad/s, of common gyros
+ACCEL_SCALES = GRAVITY * np.array([2.0, 4.0, 8.0, 16.0, 24.0])  # m/s²
+FROZEN = 20  # samples
+BRIDGE = 1.0  # s, over which the walk that bridges gaps is judged
 SPIKE = 10.0  # robust standard deviations from the median of five
 REST_SPIN = 0.01  # rad/s by gravity, over two seconds: slower is standing
 REST_GYRO = 0.15  # rad/s: no gyro bias is larger
@@ -45,7 +49,7 @@ class Unit:
 
     t : (N,) s from its first sample; plane : (N,) F = f_z − i·f_x, side : (N,) f_y, m/s²
     axle : (N,) gyro about the axle, across : (N,) G = g_z + i·g_x, rad/s
-    axle_ok, across_ok : (N,) samples of the gyros to be trusted
+    plane_ok, axle_ok, across_ok : (N,) samples to be trusted
     radius : m, about the wheel's rolling radius; place : P = ρ_z − i·ρ_x, m, where the unit sits
     carrier : (N, 3) rad/s, angular velocity of the body that carries the wheel, at the same instants, or None
     carrier_ok : (N,) where the carrier's own unit had samples
@@ -56,6 +60,7 @@ class Unit:
     side: Floats
     axle: Floats
     across: Complexes
+    plane_ok: Bools
     axle_ok: Bools
     across_ok: Bools
     radius: float
@@ -70,7 +75,8 @@ class Unit:
         """
         if self.carrier is None:
             return np.empty((self.t.size, 0))
-        rates = self.carrier[:, :2] - np.median(self.carrier[:, :2], axis=0)
+        seen = self.carried if self.carried.any() else np.ones(self.t.size, dtype=bool)
+        rates = self.carrier[:, :2] - np.median(self.carrier[seen, :2], axis=0)
         return np.where(self.carried[:, None], rates, 0.0)
 
     @property
@@ -81,20 +87,23 @@ class Unit:
         return self.carrier_ok
 
 
-def trusted(values: Floats) -> Bools:
-    """Samples of a gyro axis (or an angle) that are neither clipped nor spikes.
+def trusted(values: Floats, full_scales: Floats, spikes: bool = True) -> Bools:
+    """Samples of one axis that are neither clipped, frozen, nor spikes.
 
-    Clipped: three or more equal samples in a row within 1 % of a customary full scale. Spike: `SPIKE` robust
-    standard deviations off the median of its five neighbours.
+    Clipped: three or more equal samples in a row within 1 % of a customary full scale. Frozen: `FROZEN`
+    equal samples in a row in a series that otherwise changes. Spike: `SPIKE` robust standard deviations off
+    the median of its five neighbours.
     """
-    same = values[1:] == values[:-1]
-    run = np.flatnonzero(same[1:] & same[:-1])
-    run = run[(np.abs(np.abs(values[run, None]) / FULL_SCALES - 1.0) < 0.01).any(axis=1)]
-    clipped = np.zeros(values.size, dtype=bool)
-    clipped[np.concatenate([run, run + 1, run + 2])] = True
+    ends = np.append(np.flatnonzero(np.diff(values)), values.size - 1)
+    lengths = np.diff(np.append(-1, ends))
+    run = np.repeat(lengths, lengths)
+    restless = robust_sd(np.diff(values))
+    near = (run >= 3) & (np.abs(np.abs(values[:, None]) / full_scales - 1.0) < 0.01).any(axis=1)
+    good = ~near & ((run < FROZEN) | (restless == 0.0))
+    if not spikes:
+        return good
     off = values - median_filter(values, 5)
-    limit = SPIKE * max(robust_sd(off), robust_sd(np.diff(values)), 1.0e-4)
-    return ~clipped & (np.abs(off) <= limit)
+    return good & (np.abs(off) <= SPIKE * max(robust_sd(off), restless, 1.0e-4))
 
 
 def per_second(t: Floats) -> int:
@@ -144,33 +153,37 @@ def standing(unit: Unit) -> Bools:
 
 
 def walk_of(t: Floats, y: Floats, rest: Bools, usable: Bools) -> tuple[Floats, Floats, float]:
-    """Walk's steps (N-1,), noise variance (N,), and the walk while moving; standing and moving judged
+    """Walk's steps (N-1,), noise variance (N,), and the walk over a gap; standing and moving are judged
     apart.
+
+    A smooth signal walks faster over a second than over a tenth: gaps are bridged by the former.
     """
-    walk, noise = np.zeros(t.size), np.zeros(t.size)
+    walk, noise, wide = np.zeros(t.size), np.zeros(t.size), [1.0e-12]
     for state in (rest, ~rest):
         chosen = state & usable
         if chosen.any():
             noise[state], walk[state] = fit_walk(t[chosen], y[chosen])
+            wide.append(fit_walk(t[chosen], y[chosen], BRIDGE)[1])
     floor = max(float(np.median(noise)) * 0.05, 1.0e-12)
     noise, walk = np.maximum(noise, floor), np.maximum(walk, 1.0e-12)
-    return np.diff(t) * np.maximum(walk[1:], walk[:-1]), noise, float(np.max(walk))
+    dt, over = np.diff(t), max(wide)
+    lacking = _lacking(t, usable)
+    return dt * np.where(lacking, np.maximum(walk[1:], over), np.maximum(walk[1:], walk[:-1])), noise, over
+
+
+def _lacking(t: Floats, usable: Bools) -> Bools:
+    """Steps (N-1,) that lead over lost samples or to one that is not to be used."""
+    dt = np.diff(t)
+    return np.asarray((dt > 1.5 * np.median(dt)) | ~usable[1:])
 
 
 def bridged(t: Floats, usable: Bools, walk: float) -> Floats:
-    """Variance of a walking rate's integral over each step (N-1,) where samples lack: ∫∫ gives walk·gap³/12.
+    """Variance of a walking rate's integral over each step (N-1,) where samples lack.
 
-    walk : units²/s, of the rate; it is known at both ends of the gap
+    Over a gap whose ends are known it is walk·gap³/12, spread evenly over the gap's steps. walk : units²/s
     """
-    dt = np.diff(t)
-    gap = np.where((dt > 1.5 * np.median(dt)) | ~usable[1:], dt, 0.0)
-    return walk * _run_lengths(gap) ** 3 / 12.0
-
-
-def _run_lengths(gap: Floats) -> Floats:
-    """Length of each run of non-zero gaps, written at its last member, 0 elsewhere."""
-    total = np.cumsum(gap)
-    ends = (gap > 0.0) & np.append(gap[1:] == 0.0, True)
-    lengths = np.zeros_like(gap)
-    lengths[ends] = np.diff(np.append(0.0, total[ends]))
-    return lengths
+    dt, lacking = np.diff(t), _lacking(t, usable)
+    begins = lacking & ~np.append(False, lacking[:-1])
+    number = np.cumsum(begins) * lacking
+    gap = np.bincount(number, weights=dt)[number]
+    return np.where(lacking, walk * gap**2 * dt / 12.0, 0.0)

@@ -44,6 +44,7 @@ from .wheel_unit import (
 
 BIAS_X, BIAS_Z, TILT_X, TILT_Z = range(4)
 SHARE = 2.0  # how much of the carrier's roll and pitch rate a hub may show as its own roll rate
+LAG = 10  # s, at which a drift counts as the walk that does the same
 SWING = 10  # s, over which the carrier's pitch angle has no mean of its own
 STEADY = 4.0  # robust standard deviations: a block at rest that departs further is being steered
 STILL_SD = 1.0e-4  # rad/s: least doubt of a one-second mean at rest
@@ -95,6 +96,7 @@ def estimate_yaw_rate(unit: Unit, phase: Phase, doubt: Doubt) -> YawRate:
     raw = back.real - np.hstack([columns.real, swings]) @ constants.value[: 4 + shares]
     dt = np.diff(unit.t)
     grown = dt * float(np.median(dt)) * noise[1:] + bridged(unit.t, unit.across_ok, walk)
+    grown = grown + dt * _constants_walk(unit.t, np.hstack([columns.real, swings]), constants)[1:]
     return YawRate(
         rate=rate,
         rate_sd=np.sqrt(variance),
@@ -109,6 +111,24 @@ def _model(unit: Unit, clean: Floats, rest: Bools, seen: Bools) -> tuple[Walk, F
     """Stochastic model of one quadrature from its bias-free version; its noise by sample, and its walk."""
     step, noise, walk = walk_of(unit.t, clean, rest, seen)
     return Walk(step, np.where(seen, noise, np.inf), 1.0), noise, walk
+
+
+def _constants_walk(t: Floats, columns: Floats, constants: Constants) -> Floats:
+    """Walk [rad²/s] that does over `LAG` seconds what the doubt of the constants does to the angle turned,
+    (N,).
+
+    Over whole revolutions a doubtful bias leaves nothing; at rest and on a slow wheel it is a drift.
+    """
+    size, m = per_second(t), columns.shape[1]
+    seconds = np.arange(t[0], t[-1] + 1.0)
+    turned = np.column_stack([np.interp(seconds, t, integrate(t, column)) for column in columns.T])
+    index = np.arange(seconds.size)
+    late, early = np.minimum(index + LAG // 2, index[-1]), np.maximum(index - LAG // 2, 0)
+    apart = turned[late] - turned[early]
+    variance = np.einsum("ij,ij->i", apart @ constants.covariance[:m, :m], apart)
+    return np.asarray(
+        np.interp(t, seconds, variance / np.maximum(seconds[late] - seconds[early], 1.0 / size))
+    )
 
 
 def _pitch(unit: Unit) -> Floats:

@@ -9,19 +9,20 @@ docs/method-wheels.md.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..sensors.manifest import Imd, Machine, Steer, Tractor, Wds
-from ..sensors.mounting import to_body
+from ..sensors.mounting import mounting_matrix, to_body
 from ..sensors.streams import FieldLog, ImuStream, SteerStream, StreamError, Warn, WheelStream
 from .fusion.motion import SteerInput
 from .wheel_phase import estimate_phase
 from .wheel_series import Floats
 from .wheel_spin import hub_spin
 from .wheel_steer import TurnedWheel, WheelSteer, sensor_angle, steering_angle
-from .wheel_unit import Bools, Doubt, Unit, trusted
+from .wheel_unit import ACCEL_SCALES, GYRO_SCALES, Bools, Doubt, Unit, trusted
 from .wheel_yaw import estimate_yaw_rate
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
 ]
 
 LEAST_SAMPLES = 200  # two seconds: less says nothing of phase, bias and noise
+SHARE = 0.05  # of a unit's axis in a wheel's axis, from which its bad samples count there
 GAP = 0.06  # s, of the body's unit, that may be bridged by a line
 COVERAGE = 0.95  # share of the grid that a steering sensor covers to be preferred to the wheels
 LEAST_COVERAGE = 0.5  # below, a series is none
@@ -144,20 +146,23 @@ def wheel_motion(
         turned_variance=yaw.turned_variance,
         rest=phase.rest,
         calibration=calibration | _named(YAW_CONSTANTS, yaw.constants.value, yaw.constants.sd),
-        warnings=_unused(stream.name, unit.axle_ok & unit.across_ok),
+        warnings=_unused(stream.name, unit.axle_ok & unit.across_ok & unit.plane_ok),
     )
 
 
 def _unit(stream: WheelStream, sensor: Wds, radius: float, carrier: Carrier | None) -> Unit:
     force, rate = to_body(stream, sensor)
+    force_ok = _trusted(stream.specific_force, sensor, ACCEL_SCALES, spikes=False)
+    rate_ok = _trusted(stream.angular_velocity, sensor, GYRO_SCALES, spikes=True)
     return Unit(
         t=stream.t - stream.t[0],
         plane=force[:, 2] - 1j * force[:, 0],
         side=force[:, 1],
         axle=rate[:, 1],
         across=rate[:, 2] + 1j * rate[:, 0],
-        axle_ok=trusted(rate[:, 1]),
-        across_ok=trusted(rate[:, 0]) & trusted(rate[:, 2]),
+        plane_ok=force_ok[:, 0] & force_ok[:, 2],
+        axle_ok=rate_ok[:, 1],
+        across_ok=rate_ok[:, 0] & rate_ok[:, 2],
         radius=radius,
         place=complex(sensor.offset[2], -sensor.offset[0]),
         carrier=None if carrier is None else carrier.at(stream.t),
@@ -165,15 +170,26 @@ def _unit(stream: WheelStream, sensor: Wds, radius: float, carrier: Carrier | No
     )
 
 
+def _trusted(values: Floats, sensor: Wds, full_scales: Floats, spikes: bool) -> Bools:
+    """Which samples (N, 3) along the wheel's axes rest on sound samples of the unit's own axes only."""
+    bad = np.column_stack([~trusted(axis, full_scales, spikes) for axis in values.T])
+    shares = np.abs(mounting_matrix(sensor.rotation_deg)) > SHARE
+    return np.asarray(~(bad.astype(float) @ shares.T > 0.0))
+
+
 def wheel_motions(log: FieldLog) -> dict[str, WheelMotion]:
-    """Every wheel-mounted unit of a log, by sensor name; units with too few samples are left out."""
+    """Every wheel-mounted unit of a log, by sensor name; units with too few samples are left out.
+
+    Two units are worked on at a time: the arithmetic releases the interpreter.
+    """
     carrier = next(iter(carriers(log)), None)
-    found = {}
-    for name, sensor in log.manifest.of_kind("wds").items():
-        stream = log.streams.get(name)
-        if isinstance(stream, WheelStream) and stream.t.size >= LEAST_SAMPLES:
-            found[name] = wheel_motion(stream, sensor, nominal_radius(log.manifest.machine, sensor), carrier)
-    return found
+    units = {
+        name: (stream, sensor, nominal_radius(log.manifest.machine, sensor), carrier)
+        for name, sensor in log.manifest.of_kind("wds").items()
+        if isinstance(stream := log.streams.get(name), WheelStream) and stream.t.size >= LEAST_SAMPLES
+    }
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        return dict(zip(units, pool.map(lambda unit: wheel_motion(*unit), units.values()), strict=True))
 
 
 def carriers(log: FieldLog) -> tuple[Carrier, ...]:
@@ -288,5 +304,5 @@ def _unused(name: str, good: Bools) -> tuple[Warn, ...]:
     count = int(np.count_nonzero(~good))
     if count == 0:
         return ()
-    what = f"{count} gyro samples are clipped or spikes"
+    what = f"{count} samples are clipped, frozen or spikes"
     return (Warn(what, "left out of the wheel's motion and bridged", sensor=name),)

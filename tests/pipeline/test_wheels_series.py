@@ -16,7 +16,7 @@ from smts_validate.pipeline.wheel_series import (
     solve,
     whitened_products,
 )
-from smts_validate.pipeline.wheel_unit import running_mean, trusted
+from smts_validate.pipeline.wheel_unit import GYRO_SCALES, running_mean, trusted
 
 RNG_SEED = 20250515
 
@@ -63,13 +63,13 @@ def test_signal_and_its_variance_equal_the_joint_posterior_of_walk_and_constants
     seen = np.isfinite(walk.noise)
     n, x = columns.shape[0], columns[:, 1:]
     prior_sd = np.array([0.7, 3.0])
-    direct = np.column_stack([np.zeros(n), np.linspace(-1.0, 1.0, n), np.zeros(n)])
+    direct = np.linspace(-1.0, 1.0, n)[:, None]
     joint = np.zeros((n + 2, n + 2))
     joint[:n, :n], joint[n:, n:] = dense(walk), np.diag(prior_sd**2)
     observed = np.hstack([np.eye(n), x])[seen]
     gain = joint @ observed.T @ np.linalg.inv(observed @ joint @ observed.T + np.diag(walk.noise[seen]))
     mean, after = gain @ columns[seen, 0], joint - gain @ observed @ joint
-    wanted = np.hstack([np.eye(n), direct[:, 1:]])
+    wanted = np.hstack([np.eye(n), direct, np.zeros((n, 1))])
     channel = smooth(columns, walk)
     value, variance = signal(channel, solve([channel.products], prior_sd), direct)
     np.testing.assert_allclose(value, wanted @ mean, atol=1e-10)
@@ -173,5 +173,11 @@ def test_running_mean_is_the_plain_mean_of_a_symmetric_window():
 def test_clipped_runs_and_single_spikes_are_not_trusted_and_all_else_is():
     values = np.random.default_rng(RNG_SEED).standard_normal(1000) * 0.01
     values[200:220], values[500] = np.radians(250.0), 3.0
-    bad = np.flatnonzero(~trusted(values))
+    bad = np.flatnonzero(~trusted(values, GYRO_SCALES))
     assert set(range(200, 220)) | {500} == set(bad.tolist())
+
+
+def test_a_series_that_freezes_is_not_trusted_while_it_does():
+    values = np.random.default_rng(RNG_SEED).standard_normal(1000) * 0.01
+    values[300:360] = values[300]
+    assert np.flatnonzero(~trusted(values, GYRO_SCALES)).tolist() == list(range(300, 360))
