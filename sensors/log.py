@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from .log_collect import LogError
 from .log_read import read_streams
-from .log_topics import Channel, Columns, channels_of, messages, to_ns
+from .log_topics import LIBRARY, Channel, Columns, channels_of, messages, to_ns
 from .manifest import ManifestError
 from .manifest import read as read_manifest
 from .mcap_records import MAGIC, Bytes, Ints
@@ -36,7 +36,6 @@ from .streams import FieldLog
 __all__ = ["Attachment", "Channel", "LogError", "messages", "read_log", "write_channels", "write_log"]
 
 PROFILE = "ros2"
-LIBRARY = "smts-validate"
 CHUNK_BYTES = 1 << 20  # uncompressed
 CHUNK_NS = 30_000_000_000  # and at most this span: a log that is cut off loses the end, not whole sensors
 LEVEL = 1  # zstd; higher ones cost twice the time and save under 1 % on inertial noise

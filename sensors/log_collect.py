@@ -124,16 +124,16 @@ def take_velocity(group: Group) -> Values:
     return {"east": _numbers(group, f"{twist}.linear.x"), "north": _numbers(group, f"{twist}.linear.y")}
 
 
-def take_joints(names: Sequence[str]) -> Callable[[Group], Values]:
-    """Positions of the named joints, NaN for those that a message lacks."""
+def take_joints(joints: Mapping[str, str]) -> Callable[[Group], Values]:
+    """Positions of the joints named for each column, NaN where a message lacks one."""
 
     def take(group: Group) -> Values:
         places = _joint_places(group)
         positions = group.column("position")
         missing = np.full(group.rows.size, np.nan)
         return {
-            name: positions[:, places[name]] if places.get(name, np.inf) < positions.shape[1] else missing
-            for name in names
+            column: positions[:, places[name]] if places.get(name, np.inf) < positions.shape[1] else missing
+            for column, name in joints.items()
         }
 
     return take

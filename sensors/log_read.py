@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .cdr import Group
 from .health import health_of
@@ -32,17 +31,15 @@ from .log_collect import (
     take_mag,
     take_velocity,
 )
-from .log_topics import GNSS_EXTRAS, from_ns
+from .log_streams import STEERING, checks_of, gnss_stream, imu_stream, in_order, steer_stream
+from .log_topics import GNSS_EXTRAS, LIBRARY
 from .manifest import Manifest, ManifestError, parse
-from .mcap_records import Ints, McapError, one_line
+from .mcap_records import McapError, one_line
 from .mcap_scan import Fault, Recording, open_recording
 from .rosbag2 import files_of
 from .streams import (
     FieldLog,
-    Floats,
-    GnssStream,
     ImuStream,
-    SteerStream,
     Stream,
     StreamError,
     Warn,
@@ -51,8 +48,6 @@ from .streams import (
 
 MANIFEST_NAME = "run.toml"
 INGEST_NAME = "ingest.json"
-FIX, SBAS_FIX, GBAS_FIX = 0, 1, 2  # NavSatStatus.status
-RTK_FIXED_SD = 0.1  # m, horizontal: a GBAS fix better than that counts as fixed, else as float
 NEEDED = ("imd", "gps")  # kinds of sensors without which there is no pass
 
 
@@ -69,11 +64,13 @@ def streams_of(path: Path, recordings: Sequence[Recording], given: tuple[Manifes
     """The pass in opened files; `given` overrides their manifest. Raises LogError."""
     manifest, text = given if given is not None else _attached_manifest(path, recordings)
     found, faults = collect(recordings, _topics(manifest))
+    told = _ingest(recordings)
+    foreign = any(recording.header.library != LIBRARY for recording in recordings)
     warnings = [Warn(one_line(fault.what), one_line(fault.effect), file=path.name) for fault in faults]
     streams: dict[str, Stream] = {}
     for name, sensor in manifest.sensors.items():
         try:
-            stream = _stream(name, sensor, found, warnings)
+            stream = _stream(name, sensor, found, foreign, warnings)
         except StreamError as error:
             raise LogError(f"{path}: {error}") from None
         if stream is not None:
@@ -83,7 +80,6 @@ def streams_of(path: Path, recordings: Sequence[Recording], given: tuple[Manifes
             raise LogError(_missing(path, name, next(iter(places.values())), recordings) + _because(faults))
         elif given is not None:
             warnings.append(Warn(f"sensor {name} is not in the log", "passed over", sensor=name))
-    told = _ingest(recordings)
     before = tuple(Warn(**each) for each in told.get("warnings", ()))
     log = FieldLog(manifest, text, streams, (*before, *warnings), {}, str(path), _digest(recordings))
     return dataclasses.replace(log, health=_health(log, told.get("health", {}), bool(warnings)))
@@ -171,7 +167,7 @@ _TAKES: dict[str, tuple[tuple[str, ...], Callable[[Group], Values] | None]] = {
     "mag": (("sensor_msgs/MagneticField",), take_mag),
     "fix": (("sensor_msgs/NavSatFix",), take_fix),
     "vel": (("geometry_msgs/TwistStamped", "geometry_msgs/TwistWithCovarianceStamped"), take_velocity),
-    "quality": (("sensor_msgs/JointState",), take_joints(GNSS_EXTRAS)),
+    "quality": (("sensor_msgs/JointState",), take_joints({name: name for name in GNSS_EXTRAS})),
     "steer": (("sensor_msgs/JointState",), None),  # of the joint that the manifest names
 }
 
@@ -186,131 +182,30 @@ def _topics(manifest: Manifest) -> dict[Key, Topic]:
     for name, sensor in manifest.sensors.items():
         for i, (part, topic) in enumerate(_places(name, sensor).items()):
             types, take = _TAKES[part]
-            found[name, part] = Topic(topic, types, take or take_joints([_joint(sensor)]), optional=i > 0)
+            found[name, part] = Topic(
+                topic, types, take or take_joints({STEERING: _joint(sensor)}), optional=i > 0
+            )
     return found
 
 
 # -- streams ---------------------------------------------------------------------------------------------
 
 
-def _stream(name: str, sensor: Any, found: Mapping[Key, Found], warnings: list[Warn]) -> Stream | None:
+def _stream(
+    name: str, sensor: Any, found: Mapping[Key, Found], foreign: bool, warnings: list[Warn]
+) -> Stream | None:
     """A sensor's stream, None when the part that it needs has no messages."""
     places = _places(name, sensor)
     main = next(iter(places))
-    finite = {
-        "imu": ("specific_force", "angular_velocity"),
-        "vel": ("east", "north"),
-        "steer": (_joint(sensor),),
-    }
     parts: dict[str, Values] = {}
     for part, topic in places.items():
         if (name, part) in found:
-            parts[part] = _in_order(name, topic, found[name, part], finite.get(part, ()), warnings)
+            columns = found[name, part].take() or {"stamp": np.empty(0, np.int64)}
+            checks = checks_of(part, columns, sensor.rate, foreign)
+            parts[part], told = in_order(columns, checks)
+            warnings += [Warn(one_line(f"{what} on {topic}"), effect, sensor=name) for what, effect in told]
     if main not in parts or parts[main]["stamp"].size == 0:
         return None
-    t, t_arrival = (
-        from_ns(parts[main].pop(key)) if key == "log" else from_ns(parts[main][key])
-        for key in ("stamp", "log")
-    )
     if main == "imu":
-        return _imu(WheelStream if sensor.kind == "wds" else ImuStream, name, t, t_arrival, parts)
-    if main == "fix":
-        return _gnss(name, t, t_arrival, parts)
-    return SteerStream(name, t, t_arrival, parts["steer"][_joint(sensor)])
-
-
-def _in_order(name: str, topic: str, found: Found, finite: Sequence[str], warnings: list[Warn]) -> Values:
-    """A topic's columns with strictly increasing stamps and finite values; what is left out is told."""
-    if len(found) == 0:
-        return {"stamp": np.empty(0, np.int64)}
-    columns = found.take()
-    good = _finite(columns, finite)
-    stamp = columns["stamp"]
-    if good.all() and (np.diff(stamp) > 0).all():
-        return columns
-    rows = np.flatnonzero(good)
-    back = int(np.count_nonzero(np.diff(stamp[rows]) < 0))
-    rows = rows[np.argsort(stamp[rows], kind="stable")]
-    kept = rows[np.diff(stamp[rows], prepend=np.iinfo(np.int64).min // 2) > 0]
-    _tell(
-        warnings, name, topic, good.size - rows.size, "messages with a value that is not finite", "left out"
-    )
-    _tell(warnings, name, topic, back, "messages out of order", "sorted by their stamps")
-    _tell(
-        warnings,
-        name,
-        topic,
-        rows.size - kept.size,
-        "messages with a stamp seen before",
-        "the first was kept",
-    )
-    return {key: values[kept] for key, values in columns.items()}
-
-
-def _finite(columns: Values, names: Sequence[str]) -> NDArray[np.bool_]:
-    good = np.ones(columns["stamp"].size, np.bool_)
-    for name in names:
-        values = np.isfinite(columns[name])
-        good &= values if values.ndim == 1 else values.all(axis=1)
-    return good
-
-
-def _tell(warnings: list[Warn], sensor: str, topic: str, count: int, what: str, effect: str) -> None:
-    if count:
-        warnings.append(Warn(one_line(f"{count} {what} on {topic}"), effect, sensor=sensor))
-
-
-def _matched(stamp: Ints, other: Ints) -> tuple[Ints, Ints]:
-    """Pairs of rows of two increasing stamp columns that mean the same instant.
-
-    Equal stamps where every other stamp has its equal (one instant, two messages); else the nearest, within
-    half a period.
-    """
-    place = np.searchsorted(other, stamp).clip(0, other.size - 1)
-    here = np.flatnonzero(other[place] == stamp)
-    if here.size == other.size:
-        return here, place[here]
-    before = np.maximum(place - 1, 0)
-    nearest = np.where(np.abs(other[before] - stamp) < np.abs(other[place] - stamp), before, place)
-    period = int(np.median(np.diff(stamp))) if stamp.size > 1 else 0
-    here = np.flatnonzero(np.abs(other[nearest] - stamp) <= period // 2)
-    return here, nearest[here]
-
-
-def _imu(
-    kind: type[ImuStream], name: str, t: Floats, t_arrival: Floats, parts: Mapping[str, Values]
-) -> ImuStream:
-    imu, magnetic = parts["imu"], None
-    if "mag" in parts:
-        magnetic = np.full((t.size, 3), np.nan)
-        if parts["mag"]["stamp"].size:
-            here, there = _matched(imu["stamp"], parts["mag"]["stamp"])
-            magnetic[here] = parts["mag"]["magnetic_field"][there]
-    return kind(name, t, t_arrival, imu["specific_force"], imu["angular_velocity"], magnetic)
-
-
-def _gnss(name: str, t: Floats, t_arrival: Floats, parts: Mapping[str, Values]) -> GnssStream:
-    fix = parts["fix"]
-    values: dict[str, Floats] = {key: np.full(t.size, np.nan) for key in GnssStream.ARRAYS}
-    values |= {key: fix[key].astype(np.float64) for key in ("lat", "lon", "alt")}
-    known = (fix["covariance_type"] > 0)[:, np.newaxis] & (fix["variance"] > 0.0)
-    sd = np.sqrt(np.where(known, fix["variance"], np.nan))
-    values |= dict(zip(("sd_east", "sd_north", "sd_up"), sd.T, strict=True))
-    values["quality"] = _quality(fix["status"], sd)
-    vel, told = parts.get("vel", {}), parts.get("quality", {})
-    if len(vel.get("stamp", ())):
-        here, there = _matched(fix["stamp"], vel["stamp"])
-        values["speed"][here] = np.hypot(vel["east"], vel["north"])[there]
-        values["course"][here] = np.arctan2(vel["north"], vel["east"])[there]
-    if len(told.get("stamp", ())):  # ours: everything that the standard messages cannot hold exactly
-        here, there = _matched(fix["stamp"], told["stamp"])
-        for key in GNSS_EXTRAS:
-            values[key][here] = told[key][there]
-    return GnssStream(name, t, t_arrival, **values)
-
-
-def _quality(status: NDArray[Any], sd: Floats) -> Floats:
-    """GGA fix quality of a NavSatStatus: SBAS is differential, GBAS is RTK, fixed if the sd is small."""
-    horizontal = np.hypot(sd[:, 0], sd[:, 1])
-    rtk = np.where(horizontal < RTK_FIXED_SD, 4.0, 5.0)
-    return np.select([status == FIX, status == SBAS_FIX, status == GBAS_FIX], [1.0, 2.0, rtk], 0.0)
+        return imu_stream(WheelStream if sensor.kind == "wds" else ImuStream, name, parts)
+    return gnss_stream(name, parts, foreign) if main == "fix" else steer_stream(name, parts["steer"])

@@ -24,6 +24,7 @@ from .mcap_records import Bytes, Ints
 from .ros_messages import definition
 from .streams import FieldLog, Floats, GnssStream, ImuStream, SteerStream
 
+LIBRARY = "smts-validate"  # in the header of logs that we wrote
 GNSS_EXTRAS = ("quality", "hdop", "satellites", "speed", "course", "heading", "sd_east", "sd_north", "sd_up")
 STATUS = {0: -1, 1: 0, 2: 1, 4: 2, 5: 2, 6: -1}  # GGA fix quality -> NavSatStatus.status
 UNKNOWN, DIAGONAL_KNOWN = 0, 2  # NavSatFix.position_covariance_type

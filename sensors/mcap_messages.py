@@ -192,8 +192,8 @@ def _decompress(packed: memoryview, chunk: Chunk) -> bytes | memoryview:
 
 def _zstd(packed: memoryview, size: int) -> bytes:
     try:
-        if 0 <= zstandard.frame_content_size(packed) <= size:
-            return zstandard.ZstdDecompressor().decompress(packed)[:size]
+        if zstandard.frame_content_size(packed) <= size:  # -1: not stated, then the second limit holds
+            return bytes(zstandard.ZstdDecompressor().decompress(packed, max_output_size=size))
     except zstandard.ZstdError:
         pass  # cut or damaged: below, as far as it goes
     return _as_far_as_it_goes(zstandard.ZstdDecompressor().decompressobj(), packed, size, zstandard.ZstdError)

@@ -20,6 +20,7 @@ from log_samples import (
     imu,
     joints,
     topic_manifest,
+    velocity,
     write_foreign,
 )
 from mcap.reader import make_reader
@@ -117,11 +118,55 @@ def test_disordered_doubled_and_broken_samples_are_repaired_and_counted(tmp_path
     np.testing.assert_array_equal(unit.specific_force[:, 0], original)
     told = {warn.what: warn for warn in log.warnings}
     assert set(told) == {
-        "1 messages with a value that is not finite on /imu/data",
-        "1 messages out of order on /imu/data",
-        "1 messages with a stamp seen before on /imu/data",
+        "1 message with a value that is not finite on /imu/data",
+        "1 message out of order on /imu/data",
+        "1 message with a stamp seen before on /imu/data",
     }
     assert {warn.sensor for warn in log.warnings} == {"imu"}
+
+
+def test_values_that_no_sensor_reads_are_left_out_and_counted(tmp_path: Path) -> None:
+    topics = drive(20)
+    for i, (force, rate) in enumerate([((1e34, 0, 0), (0, 0, 0)), ((0, 0, 9.8), (0, 1e300, 0))]):
+        t = topics["/imu/data"][3 + i][0]
+        topics["/imu/data"][3 + i] = (t, imu(t - 25_000_000, force, rate))
+    topics["/vel"][5] = (topics["/vel"][5][0], velocity(topics["/vel"][5][0] - 25_000_000, 1e308, 1e308))
+    for i, (lat, lon) in enumerate([(95.0, 36.5), (0.0, 0.0)]):
+        topics["/fix"][7 + i][1].latitude, topics["/fix"][7 + i][1].longitude = lat, lon
+    write_foreign(tmp_path / "a.mcap", topics)
+    log = read_log(tmp_path / "a.mcap", topic_manifest(tmp_path))
+    gps: Any = log.streams["gps"]
+    assert {name: stream.t.size for name, stream in log.streams.items()} == {"imu": 18, "gps": 18}
+    assert np.flatnonzero(np.isnan(gps.speed)).tolist() == [5]
+    assert {(warn.sensor, warn.what) for warn in log.warnings} == {
+        ("imu", "2 messages beyond what such a sensor can read on /imu/data"),
+        ("gps", "1 message beyond what such a sensor can read on /vel"),
+        ("gps", "2 messages with an impossible position on /fix"),
+    }
+
+
+def test_a_unit_that_froze_is_told(tmp_path: Path) -> None:
+    topics = drive(60)
+    for i in range(20, 45):
+        t = topics["/imu/data"][i][0]
+        topics["/imu/data"][i] = (t, imu(t - 25_000_000, (0.1, 0.2, 9.8), (0.0, 0.0, 0.1)))
+    write_foreign(tmp_path / "a.mcap", topics)
+    log = read_log(tmp_path / "a.mcap", topic_manifest(tmp_path))
+    assert log.streams["imu"].t.size == 36  # the first of the 25 equal readings may be true
+    assert log.warnings[0].what == "24 messages that repeat one reading (the unit froze) on /imu/data"
+
+
+def test_an_epoch_without_fix_has_no_position_whatever_the_driver_wrote(tmp_path: Path) -> None:
+    topics = drive(6)
+    topics["/fix"][2][1].status.status = -1
+    topics["/fix"][3][1].status.status = -1
+    topics["/fix"][3][1].latitude = topics["/fix"][3][1].longitude = 0.0
+    write_foreign(tmp_path / "a.mcap", topics)
+    log = read_log(tmp_path / "a.mcap", topic_manifest(tmp_path))
+    gps: Any = log.streams["gps"]
+    assert np.flatnonzero(np.isnan(gps.lat)).tolist() == [2, 3]
+    assert np.flatnonzero(gps.quality == 0.0).tolist() == [2, 3]
+    assert log.warnings == ()
 
 
 def test_where_stamps_are_zero_the_log_time_is_the_time(tmp_path: Path) -> None:
