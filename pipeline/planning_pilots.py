@@ -26,7 +26,7 @@ from .replay_settings import ReplaySettings
 from .run import machine_of
 from .twin import make_pass, write_raw
 from .twin_plan import TwinPlan
-from .window_fit import Context, coarse, nominal_run, trailed_run
+from .window_fit import coarse, nominal_run, trailed_run
 
 Floats = NDArray[np.float64]
 
@@ -89,9 +89,8 @@ def information(row: RowComparison, statistics: PassStatistics, parameters: Sequ
     and n_eff its independent samples, so that the residual's autocorrelation is paid for (the standard
     errors of least squares with the information scaled by n_eff/N).
     """
-    context = row.context
     total = _nothing(parameters)
-    sensitivity = [_changes(context, row, name) for name in parameters]
+    sensitivity = [changes(row, name) for name in parameters]
     for i, fit in enumerate(row.fits):
         slopes = np.column_stack([change[i] for change in sensitivity])
         for name, place in slices(fit.parts):
@@ -103,8 +102,9 @@ def information(row: RowComparison, statistics: PassStatistics, parameters: Sequ
     return np.asarray(total)
 
 
-def _changes(context: Context, row: RowComparison, name: str) -> list[Floats]:
+def changes(row: RowComparison, name: str) -> list[Floats]:
     """Each window's residual change (N,) for a relative change of 1 of a parameter, after alignment."""
+    context = row.context
     value = context.machine.parameter(name)
     machine = context.machine.replace_parameters({name: value * (1.0 + RELATIVE_STEP)})
     windows = [fit.window for fit in row.fits]

@@ -127,17 +127,26 @@ def stream(seed: int, name: str) -> np.random.Generator:
 
 
 def true_machine(plan: TwinPlan) -> dict[str, Any]:
-    """The [machine] table with the plan's factors applied. Raises PlanError for a key that it lacks."""
+    """The [machine] table with the plan's factors and values. Raises PlanError for a key that it lacks."""
     machine = copy.deepcopy({k: dict(v) for k, v in plan.machine.items()})
     for key, factor in plan.truth.items():
-        *path, last = key.split(".")
-        owner: Any = machine
-        for part in path:
-            owner = owner.get(part) if isinstance(owner, dict) else None
-        if not isinstance(owner, dict) or not isinstance(owner.get(last), int | float):
-            raise PlanError(f"truth.{key}: no number of [machine] has this name")
+        owner, last = _owner(machine, key)
         owner[last] = owner[last] * factor
+    for key, value in plan.truth_set.items():
+        owner, last = _owner(machine, key)
+        owner[last] = value
     return machine
+
+
+def _owner(machine: dict[str, Any], key: str) -> tuple[dict[str, Any], str]:
+    """The table that holds a dotted key, and the key's last part."""
+    *path, last = key.split(".")
+    owner: Any = machine
+    for part in path:
+        owner = owner.get(part) if isinstance(owner, dict) else None
+    if not isinstance(owner, dict) or not isinstance(owner.get(last), int | float):
+        raise PlanError(f"truth.{key}: no number of [machine] has this name")
+    return owner, last
 
 
 def make_world(plan: TwinPlan, seed: int) -> World:
@@ -215,6 +224,7 @@ def _unit(
         np.zeros(table.shape, bool),
     )
     rng = stream(seed, f"{name} faults")
+    record = clocks.restarted(plan.faults, name, record)
     return clocks.with_empty_cells(plan.faults, clocks.faulty(plan.faults, name, record, rng), rng)
 
 

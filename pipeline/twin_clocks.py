@@ -19,6 +19,7 @@ SEQUENCE = 1 << 16  # of seq
 SAMPLE_JITTER = 8e-6  # s, of a unit's sampling
 LATE_SHARE, LATE_MEAN = 0.01, 0.015  # now and then the logger is busy
 BURST = 2.0  # samples lost together, mean
+SILENCE = 1.5  # s that a unit needs to start anew
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,9 @@ def _rows(record: Record, index: NDArray[np.intp]) -> Record:
 def faulty(plan: FaultPlan, name: str, record: Record, rng: np.random.Generator) -> Record:
     """The record with rows lost (singly and in bursts, and in planned gaps), doubled and out of order."""
     keep = ~_lost(plan.lost, record.t.size, rng)
+    for sensor, at in plan.restarts:
+        if sensor == name:
+            keep &= ~((record.t >= at) & (record.t < at + SILENCE))
     for sensor, start, length in plan.gaps:
         if sensor == name:
             keep &= ~((record.t >= start) & (record.t < start + length))
@@ -123,6 +127,17 @@ def _lost(share: float, n: int, rng: np.random.Generator) -> NDArray[np.bool_]:
     for start in np.flatnonzero(rng.random(n) < share / BURST):
         lost[start : start + rng.geometric(1.0 / BURST)] = True
     return lost
+
+
+def restarted(plan: FaultPlan, name: str, record: ImuRecord) -> ImuRecord:
+    """The record with the unit's counters at zero `SILENCE` after each of its planned restarts."""
+    counter, seq = record.t_dev_us.copy(), record.seq.copy()
+    for sensor, at in plan.restarts:
+        after = record.t >= at + SILENCE
+        if sensor == name and after.any():
+            counter[after] = (counter[after] - counter[after][0]) % COUNTER
+            seq[after] = (seq[after] - seq[after][0]) % SEQUENCE
+    return replace(record, t_dev_us=counter, seq=seq)
 
 
 def with_empty_cells(plan: FaultPlan, record: ImuRecord, rng: np.random.Generator) -> ImuRecord:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -181,7 +181,10 @@ class ClockPlan:
 
 @dataclass(frozen=True)
 class FaultPlan:
-    """What goes wrong in the files: shares of rows, and spans (sensor, start, length) without any."""
+    """What goes wrong in the files: shares of rows, and spans (sensor, start, length) without any.
+
+    restarts: (sensor, time) at which a unit starts anew: silent for 1.5 s, then its counters begin at
+    zero."""
 
     lost: float = 0.001
     doubled: float = 0.0003
@@ -190,6 +193,7 @@ class FaultPlan:
     bad_checksums: float = 0.0
     cut_last_row: bool = False
     gaps: tuple[tuple[str, float, float], ...] = ()
+    restarts: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -197,7 +201,8 @@ class TwinPlan:
     """A synthetic pass: what is driven, by which machine, over which ground, seen by which sensors.
 
     machine, sensors, conditions: the tables of run.toml, as the researcher believes them. truth: factors on
-    dotted keys of [machine] by which the true machine differs ("tyres.front.cornering_stiffness" = 0.35).
+    dotted keys of [machine] by which the true machine differs ("tyres.front.cornering_stiffness" = 0.35);
+    truth_set: values that it has instead ("tyres.front.relaxation_length" = 0.6, where the stated one is 0).
     dynamics: "model" integrates the two-mass equations; "kinematic" rolls with side slip, independent of
     `model`.
     """
@@ -214,6 +219,7 @@ class TwinPlan:
     machine: Mapping[str, Any] = field(default_factory=lambda: MACHINE)
     sensors: Mapping[str, Any] = field(default_factory=lambda: SENSORS)
     truth: Mapping[str, float] = field(default_factory=dict)
+    truth_set: Mapping[str, float] = field(default_factory=dict)
     conditions: Mapping[str, Any] = field(default_factory=dict)
     dynamics: Literal["model", "kinematic"] = "model"
 
@@ -227,21 +233,39 @@ WRONG_MACHINE = {
     "seeder.hitch_to_com": 1.4,
 }
 
-PRESETS: Mapping[str, TwinPlan] = types.MappingProxyType(
-    {
-        "benign": TwinPlan(path=PathPlan(duration=60.0, row_length=200.0)),
-        "bad_sensors": TwinPlan(
-            path=PathPlan(duration=60.0, row_length=200.0), errors=BAD_SENSORS, faults=FaultPlan(lost=0.02)
-        ),
-        "outage": TwinPlan(
-            path=PathPlan(duration=60.0, row_length=200.0),
-            gnss=GnssPlan(outages=((25.0, 8.0),), floats=((33.0, 10.0),)),
-        ),
+LONG_ROW = PathPlan(duration=60.0, row_length=200.0)
+OUTAGE = GnssPlan(outages=((25.0, 8.0),), floats=((33.0, 10.0),))
+EVERYTHING = FaultPlan(
+    lost=0.03, doubled=0.01, disordered=0.01, empty=0.001, bad_checksums=0.02, cut_last_row=True,
+    gaps=(("imd2", 30.0, 2.0),), restarts=(("wds3", 40.0),),
+)  # fmt: skip
+
+
+def _presets() -> Mapping[str, TwinPlan]:
+    """The named plans; each is its own run.id."""
+    plain = TwinPlan(path=LONG_ROW)
+    alone = with_table(
+        plain,
+        {
+            "machine": {"seeder": False, "tyres": {"seeder": False}},
+            "sensors": {"imd2": False, "imd3": False},
+        },
+    )
+    plans = {
+        "benign": plain,
+        "bad_sensors": replace(plain, errors=BAD_SENSORS, faults=FaultPlan(lost=0.02)),
+        "outage": replace(plain, gnss=OUTAGE),
         "headland": TwinPlan(path=PathPlan(rows=2, row_length=90.0)),
-        "metre_gps": TwinPlan(path=PathPlan(duration=60.0, row_length=200.0), gnss=METRE_LEVEL),
-        "wrong_machine": TwinPlan(path=PathPlan(duration=60.0, row_length=200.0), truth=WRONG_MACHINE),
+        "metre_gps": replace(plain, gnss=METRE_LEVEL),
+        "wrong_machine": replace(plain, truth=WRONG_MACHINE),
+        "faulty": replace(plain, faults=EVERYTHING, clocks=ClockPlan(wrap=True, host_drift_ppm=15.0)),
+        "tractor_alone": alone,
     }
-)
+    named = {name: replace(plan, run=RunPlan(id=name, field=name)) for name, plan in plans.items()}
+    return types.MappingProxyType(named)
+
+
+PRESETS = _presets()
 
 
 def preset(name: str) -> TwinPlan:

@@ -9,17 +9,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 from smts_validate.model.machine import Machine
 from smts_validate.pipeline import planning, planning_chances
 from smts_validate.pipeline.adequacy import Rules
 from smts_validate.pipeline.bounds import RESPONSES, PassStatistics, ResponseStatistics
-from smts_validate.pipeline.planning_pilots import fly, known_parameters
+from smts_validate.pipeline.compare import compare
+from smts_validate.pipeline.fusion.fuse import fuse
+from smts_validate.pipeline.grid import slices
+from smts_validate.pipeline.planning_pilots import PARAMETERS, changes, fly, information, known_parameters
 from smts_validate.pipeline.planning_report import plan_to_folder
 from smts_validate.pipeline.replay_settings import ReplaySettings
+from smts_validate.pipeline.run import machine_of
+from smts_validate.pipeline.twin import make_pass, write_raw
 from smts_validate.pipeline.twin_campaign import campaign_from
 from smts_validate.pipeline.twin_machine import MACHINE
 from smts_validate.pipeline.twin_plan import preset
 from smts_validate.pipeline.twin_tables import PlanError
+from smts_validate.sensors.ingest import read_pass
 
 RULES = Rules()
 CELLS = (("field1", "east"), ("field1", "west"))
@@ -154,9 +161,6 @@ def test_a_plan_without_repeats_or_pilots_is_refused() -> None:
             planning.forecast(campaign_from({}), **wrong)  # type: ignore[arg-type]
 
 
-SHORT = {"base": {"path": {"duration": 45.0}}, "directions": ["east", "west"], "repeats": 2, "seed": 3}
-
-
 @pytest.mark.slow
 def test_a_forecast_is_made_from_a_plan_and_written_as_table_and_figure(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text(
@@ -191,3 +195,34 @@ def test_information_grows_with_excitation() -> None:
     assert found[1] is not None
     less, more = (np.diag(pilot.information) for pilot in found if pilot is not None)
     assert (more > 1.5 * less).all()
+
+
+def _estimate(seed: int, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Relative changes of all parameters by one step of least squares on a pass, and their stated sd."""
+    write_raw(make_pass(preset("benign"), seed), folder / "raw")
+    log = read_pass(folder / "raw")
+    settings = ReplaySettings(horizons=(25.0,), draws=20)
+    comparison = compare(fuse(log), machine_of(log), log.manifest, settings)
+    assert comparison.statistics is not None
+    slope, total = np.zeros(len(PARAMETERS)), np.zeros((len(PARAMETERS), len(PARAMETERS)))
+    for row in comparison.rows:
+        total += information(row, comparison.statistics, PARAMETERS)
+        moved = [changes(row, name) for name in PARAMETERS]
+        for i, fit in enumerate(row.fits):
+            columns = np.column_stack([m[i] for m in moved])
+            for name, place in slices(fit.parts):
+                response = comparison.statistics.responses[name]
+                weight = response.n_eff / (row.valid[name].sum() * response.mse)
+                valid = fit.valid[place]
+                slope += weight * columns[place][valid].T @ fit.bounded[place][valid]
+    return -np.linalg.solve(total, slope), np.sqrt(np.diag(np.linalg.inv(total)))
+
+
+@pytest.mark.full
+def test_parameters_estimated_from_twins_scatter_as_the_forecast_says(tmp_path: Path) -> None:
+    found = [_estimate(200 + k, tmp_path / str(k)) for k in range(24)]
+    pulls = np.array([estimate / sd for estimate, sd in found])
+    low, high = (math.sqrt(chi2.ppf(p, 23) / 23) for p in (0.0005, 0.9995))
+    assert (pulls.std(axis=0, ddof=1) < high).all()  # never more scatter than forecast
+    assert low < np.median(pulls.std(axis=0, ddof=1)) < high
+    assert np.abs(pulls.mean(axis=0)).max() < 3.5 / math.sqrt(24)

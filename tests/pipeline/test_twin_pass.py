@@ -327,3 +327,15 @@ def test_wheel_radii_misalignment_and_biases_are_drawn_at_their_planned_size() -
         assert np.std([getattr(e, name) for e in errors]) == pytest.approx(sigma, rel=0.08)
     first = twin_inertial.draw_errors(doubled, 100.0, twin.stream(0, "imd1 errors"))
     assert first.gyro_bias == pytest.approx(2.0 * errors[0].gyro_bias)
+
+
+def test_a_unit_that_restarts_is_silent_and_counts_from_zero() -> None:
+    made = make_pass(
+        changed(SHORT, {"faults": {"restarts": [["imd1", 15.0]], "lost": 0.0, "doubled": 0.0}}), 5
+    )
+    unit = made.units["imd1"]
+    after = unit.t >= 16.5
+    assert not ((unit.t >= 15.0) & ~after).any()
+    assert (unit.t_dev_us[after][0], unit.seq[after][0]) == (0, 0)
+    assert (np.diff(unit.seq[after]) == 1).all()
+    assert (np.diff(made.units["imd2"].t) < 0.02).all()

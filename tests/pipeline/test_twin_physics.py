@@ -173,6 +173,9 @@ def test_the_truth_of_a_wrong_machine_differs_and_its_manifest_does_not() -> Non
     assert true["seeder"]["hitch_to_com"] == pytest.approx(1.4 * plan.machine["seeder"]["hitch_to_com"])
     assert true["tyres"]["front"]["cornering_stiffness"] == pytest.approx(0.35 * 6.0e4)
     assert twin.manifest_text(plan) == twin.manifest_text(replace(plan, truth={}))
+    relaxed = twin.true_machine(replace(plan, truth={}, truth_set={"tyres.front.relaxation_length": 0.6}))
+    assert relaxed["tyres"]["front"]["relaxation_length"] == 0.6
+    assert plan.machine["tyres"]["front"]["relaxation_length"] == 0.0
     motion = twin.make_world(plan, 0).motion
     reach = np.hypot(motion.x1 - motion.x2, motion.y1 - motion.y2)
     assert reach[0] == pytest.approx(2.05 + 4.2, abs=1e-6)
