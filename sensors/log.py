@@ -97,15 +97,28 @@ def write_channels(
 
     Raises OSError where it cannot be written, CdrError or ValueError for columns that do not fit a type.
     """
+    chosen = list(channels)
+    for channel in chosen:
+        _check_times(channel)
     with _whole_or_not(path) as stream:
         writer = _Writer(stream)
-        writer.start(list(channels))
+        writer.start(chosen)
         for name, pairs in (metadata or {}).items():
             writer.metadata(name, pairs)
         for attachment in attachments:
             writer.attachment(attachment)
         writer.messages()
         writer.finish()
+
+
+def _check_times(channel: Channel) -> None:
+    """Raises LogError for times that MCAP's unsigned nanoseconds cannot hold, or that are not one a message."""
+    if len(channel.log_time_ns) != len(channel.messages):
+        n, times = len(channel.messages), len(channel.log_time_ns)
+        raise LogError(f"topic {channel.topic}: {n} messages with {times} log times")
+    published = channel.log_time_ns if channel.publish_time_ns is None else channel.publish_time_ns
+    if any(int(times.min()) < 0 for times in (channel.log_time_ns, published) if len(times)):
+        raise LogError(f"topic {channel.topic}: a time lies before 1970, which MCAP cannot hold")
 
 
 @contextlib.contextmanager

@@ -158,6 +158,17 @@ def test_a_time_beyond_2038_is_refused_and_leaves_no_file(log: FieldLog, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
+def test_times_that_mcap_cannot_hold_are_refused(tmp_path: Path) -> None:
+    numbers = messages("std_msgs/msg/Float64", {}, {"data": np.arange(2.0)})
+    early = Channel("/a", "std_msgs/msg/Float64", np.array([-1, 0]), numbers)
+    with pytest.raises(LogError, match="before 1970"):
+        write_channels(tmp_path / "a.mcap", [early])
+    fewer = Channel("/a", "std_msgs/msg/Float64", np.array([0]), numbers)
+    with pytest.raises(LogError, match="2 messages with 1 log times"):
+        write_channels(tmp_path / "a.mcap", [fewer])
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_old_file_stays_whole_when_writing_a_new_one_fails(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(b"old")
