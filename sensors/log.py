@@ -112,7 +112,7 @@ def write_channels(
 
 
 def _check_times(channel: Channel) -> None:
-    """Raises LogError for times that MCAP's unsigned nanoseconds cannot hold, or that are not one a message."""
+    """Raises LogError for times that MCAP's unsigned ns cannot hold, or that are not one a message."""
     if len(channel.log_time_ns) != len(channel.messages):
         n, times = len(channel.messages), len(channel.log_time_ns)
         raise LogError(f"topic {channel.topic}: {n} messages with {times} log times")
