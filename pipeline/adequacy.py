@@ -140,22 +140,59 @@ def judge_campaign(passes: Sequence[PassStatistics], rules: Rules = Rules(), for
     return _judge(compared, rules, "campaign", foresee)
 
 
+@dataclass(frozen=True)
+class Facts:
+    """What the rules ask of the passes beside each response's summary.
+
+    directions, cells : distinct ones; within : mean share of windows inside their alignment bound
+    single : by response, each pass's √M over R95, with its run
+    """
+
+    count: int
+    directions: tuple[str, ...]
+    cells: int
+    within: float
+    testable: bool
+    single: Mapping[str, Sequence[tuple[float, str]]]
+
+
+def facts_of(passes: Sequence[PassStatistics], summaries: Mapping[str, Summary]) -> Facts:
+    """The facts of some passes."""
+    single = {
+        n: [(float(np.sqrt(p.responses[n].mse)) / s.r95, p.run) for p in passes] for n, s in summaries.items()
+    }
+    return Facts(
+        count=len(passes),
+        directions=tuple(dict.fromkeys(p.direction for p in passes)),
+        cells=len({p.cell for p in passes}),
+        within=float(np.mean([p.windows_within for p in passes])),
+        testable=all(p.tractor_testable for p in passes),
+        single=single,
+    )
+
+
 def _judge(passes: tuple[PassStatistics, ...], rules: Rules, scope: str, foresee: bool = False) -> Verdict:
     names = [r for r in RESPONSES if all(r in p.responses for p in passes)]
     summaries = {name: summarise(passes, name) for name in names}
+    return decide(summaries, facts_of(passes, summaries), rules, scope, foresee)
+
+
+def decide(
+    summaries: Mapping[str, Summary], facts: Facts, rules: Rules, scope: str, foresee: bool = False
+) -> Verdict:
+    """The verdict from the responses' summaries and the passes' facts, by the rules."""
     spread_known = scope == "campaign"
-    found = {n: judged(s, n, rules, len(names), spread_known) for n, s in summaries.items()}
+    found = {n: judged(s, n, rules, len(summaries), spread_known) for n, s in summaries.items()}
     against = [n for n, j in found.items() if j.lo_decides is not None and j.lo_decides > rules.threshold]
-    if against and all(p.tractor_testable for p in passes):
-        reasons, codes, value = _condemned(found, against, rules, scope), ("discrepancy",), NOT_ADEQUATE
-        return Verdict(value, scope, reasons, codes, found, len(passes), None, rules)
-    doubts = _doubts(passes, found, rules, scope)
-    blocked = bool(BLOCKING & doubts.keys())
-    needed = passes_needed(passes, summaries, rules, blocked) if foresee and doubts else None
+    if against and facts.testable:
+        reasons, codes = _condemned(found, against, rules, scope), ("discrepancy",)
+        return Verdict(NOT_ADEQUATE, scope, reasons, codes, found, facts.count, None, rules)
+    doubts = _doubts(facts, found, rules, scope)
     if not doubts:
-        return Verdict(ADEQUATE, scope, _praised(found, rules, scope), (), found, len(passes), None, rules)
+        return Verdict(ADEQUATE, scope, _praised(found, rules, scope), (), found, facts.count, None, rules)
+    needed = passes_needed(facts, summaries, rules, bool(BLOCKING & doubts.keys())) if foresee else None
     reasons = tuple(doubts.values()) + (_needed_words(needed) if foresee else ()) + _of_this_pass(scope)
-    return Verdict(INCONCLUSIVE, scope, reasons, tuple(doubts), found, len(passes), needed, rules)
+    return Verdict(INCONCLUSIVE, scope, reasons, tuple(doubts), found, facts.count, needed, rules)
 
 
 WORDS = {
@@ -194,22 +231,19 @@ def _praised(found: Mapping[str, Judged], rules: Rules, scope: str) -> tuple[str
     return (text, *_of_this_pass(scope))
 
 
-def _doubts(
-    passes: tuple[PassStatistics, ...], found: Mapping[str, Judged], rules: Rules, scope: str
-) -> dict[str, str]:
+def _doubts(facts: Facts, found: Mapping[str, Judged], rules: Rules, scope: str) -> dict[str, str]:
     """Every condition for `adequate` that is not met, by code, in words."""
     doubts: dict[str, str] = {}
-    if not all(p.tractor_testable for p in passes):
+    if not facts.testable:
         doubts["tractor-not-testable"] = (
             "tractor not testable: no steering series that is independent of the body's motion"
         )
-    doubts |= _doubts_of_design(passes, rules) if scope == "campaign" else {}
+    doubts |= _doubts_of_design(facts, rules) if scope == "campaign" else {}
     doubts |= _doubts_of_bounds(found, rules)
-    within = float(np.mean([p.windows_within for p in passes]))
-    if not within >= rules.windows_within:
+    if not facts.within >= rules.windows_within:
         doubts["alignment"] = (
-            f"absorbed by alignment: only {100.0 * within:.0f} % of windows are aligned within their prior, "
-            f"{100.0 * rules.windows_within:.0f} % are needed"
+            f"absorbed by alignment: only {100.0 * facts.within:.0f} % of windows are aligned within their "
+            f"prior, {100.0 * rules.windows_within:.0f} % are needed"
         )
     near = [
         n
@@ -223,17 +257,16 @@ def _doubts(
             f"line reads, under {rules.of_null:g} is needed"
         )
     if scope == "campaign":
-        doubts |= _doubts_of_single_passes(passes, found, rules)
+        doubts |= _doubts_of_single_passes(facts, found, rules)
     return doubts
 
 
-def _doubts_of_design(passes: tuple[PassStatistics, ...], rules: Rules) -> dict[str, str]:
+def _doubts_of_design(facts: Facts, rules: Rules) -> dict[str, str]:
     doubts = {}
-    if len(passes) < rules.least_passes:
-        doubts["few-passes"] = f"too few passes: {len(passes)} of at least {rules.least_passes}"
-    directions = {p.direction for p in passes}
-    if len(directions) < rules.least_directions:
-        doubts["one-direction"] = f"one direction: all passes go {next(iter(directions)) or 'the same way'}"
+    if facts.count < rules.least_passes:
+        doubts["few-passes"] = f"too few passes: {facts.count} of at least {rules.least_passes}"
+    if len(facts.directions) < rules.least_directions:
+        doubts["one-direction"] = f"one direction: all passes go {facts.directions[0] or 'the same way'}"
     return doubts
 
 
@@ -243,9 +276,8 @@ def _doubts_of_bounds(found: Mapping[str, Judged], rules: Rules) -> dict[str, st
     doubts: dict[str, list[str]] = {}
     for name, one in found.items():
         if one.hi is None or one.d is None:
-            reason = (
-                f"{WORDS[name]} swings {one.r95:.3g} only, too little beside its uncertainty for a percentage"
-            )
+            swing = f"{np.rad2deg(one.r95):.2f}°" if name in (YAW1, YAW2) else f"{100.0 * one.r95:.1f} cm"
+            reason = f"{WORDS[name]} swings {swing} only, too little beside its uncertainty for a percentage"
             doubts.setdefault("small-swing", []).append(reason)
         elif not one.hi < rules.threshold:
             code = _cause(one, rules)
@@ -274,22 +306,15 @@ def _cause(one: Judged, rules: Rules) -> str:
     return "borderline"
 
 
-def _doubts_of_single_passes(
-    passes: tuple[PassStatistics, ...], found: Mapping[str, Judged], rules: Rules
-) -> dict[str, str]:
+def _doubts_of_single_passes(facts: Facts, found: Mapping[str, Judged], rules: Rules) -> dict[str, str]:
     limit = rules.single_pass_factor * rules.threshold
-    over = [
-        p.run
-        for p in passes
-        for n, j in found.items()
-        if j.d is not None and np.sqrt(p.responses[n].mse) / j.r95 > limit
-    ]
+    over = [run for n, j in found.items() if j.d is not None for d, run in facts.single[n] if d > limit]
     names = ", ".join(dict.fromkeys(over))
     return {"single-pass": f"spread: over twice the threshold in {names}"} if over else {}
 
 
 def passes_needed(
-    passes: Sequence[PassStatistics], summaries: Mapping[str, Summary], rules: Rules, blocked: bool = False
+    facts: Facts, summaries: Mapping[str, Summary], rules: Rules, blocked: bool = False
 ) -> int | None:
     """The least number of passes like these whose intervals would decide, None when no number would.
 
@@ -299,12 +324,12 @@ def passes_needed(
     The means, spread and uncertainties stay as they are; only n, the degrees of freedom and the normaliser's
     variance follow the number of passes.
     """
-    cells = max(len({p.cell for p in passes}), rules.least_directions)
+    cells = max(facts.cells, rules.least_directions)
     usable = {n: s for n, s in summaries.items() if percentage_possible(s, n)}
     if not usable:
         return None
     level = 1.0 - rules.alpha / len(usable)
-    for count in _counts(max(len(passes), rules.least_passes)):
+    for count in _counts(max(facts.count, rules.least_passes)):
         dof = max(count - cells, 1)
         high = [upper(s, half_width(s, 1.0 - rules.alpha, count, dof)) for s in usable.values()]
         low = [lower(s, half_width(s, level, count, dof)) for s in usable.values()]
