@@ -133,14 +133,14 @@ def simulate_study(
 ) -> Study:
     """Simulate versions over the plan's soils, the same soils for each.
 
-    progress is called with a version's label before it is computed. Raises StudyError or MachineError, one
-    line, for a version that cannot be or whose speed is above the critical one.
+    progress is called with a line about each version before it is computed. Raises StudyError or
+    MachineError, one line, for a version that cannot be or whose speed is above the critical one.
     """
     plan = StudyPlan() if plan is None else plan
     done = []
     for version in versions:
         if progress is not None:
-            progress(version.label)
+            progress(f"version {version.label}: {plan.seeds} soils")
         done.append(study_version(version, plan))
     return Study(plan, tuple(done), comparison_table(done))
 

@@ -23,10 +23,13 @@ HIGHEST = 10.0  # Hz, end of the paper's Fig. 5
 ROLES: tuple[Role, ...] = ("tractor", "seeder", "third", "fourth", "residual")
 NAMES = {
     "max_deviation1": "max deviation of O1, m",
+    "max_deviation2": "max deviation of O2, m",
     "range1": "range of O1, m",
     "range2": "range of O2, m",
     "r95_1": "R95 of O1, m",
     "r95_2": "R95 of O2, m",
+    "rms1": "rms deviation of O1, m",
+    "rms2": "rms deviation of O2, m",
     "yaw_range1_deg": "range of the tractor's yaw, deg",
     "yaw_range2_deg": "range of the seeder's yaw, deg",
     "peak1": "peak of S(O1), (m/s²)²/Hz",
@@ -177,7 +180,7 @@ def surface_chart(surface: Surface) -> Chart:
 def _value(name: str, value: float) -> str:
     """A parameter's value as text: "l5 = 2 m"."""
     symbol, _, unit = _label(name).partition(", ")
-    return f"{symbol} = {value:g} {unit}".rstrip()
+    return f"{symbol} = {value:.3g} {unit}".rstrip()
 
 
 def _label(name: str) -> str:
@@ -207,10 +210,11 @@ def best_block(best: BestDesign, base: Version) -> Table:
         )
         for effect in best.effects
     )  # fmt: skip
-    design = ", ".join(f"{_label(name)} = {value:.3g}" for name, value in best.values.items())
-    edge = f" ({', '.join(_label(n) for n in best.on_bound)} at the bound)" if best.on_bound else ""
+    design = ", ".join(_value(name, value) for name, value in best.values.items())
+    edges = ", ".join(_label(name).partition(",")[0] for name in best.on_bound)
+    edge = f" ({edges} at the bound)" if edges else ""
     against = f"against version {base.label}; {best.soils} fresh soils"
-    caption = f"Straightest by {best.index}: {design}{edge}, {against}."
+    caption = f"Straightest by {NAMES[best.index]}: {design}{edge}, {against}."
     return Table("study-best", caption, ("index", "change", "95 %"), rows)
 
 

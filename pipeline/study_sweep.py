@@ -165,7 +165,8 @@ def make_design(plan: SweepPlan, values: Mapping[str, float]) -> Design:
     machine_values = {}
     driver_values = {}
     speed, level = plan.base.speed, 1.0
-    for name, value in values.items():
+    for name, number in values.items():
+        value = float(number)
         if name == "speed":
             speed = value
         elif name == "soil.level":
@@ -195,16 +196,30 @@ def run_sweep(plan: SweepPlan, progress: Callable[[int, int], None] | None = Non
     machines.
     """
     designs = sample_designs(plan)
+    damping, critical = linear_indices(plan, designs) if plan.linear else np.full((2, len(designs)), np.nan)
     indices = simulate_designs(plan, designs, progress)
-    made = (
-        [make_design(plan, dict(zip(plan.names, row, strict=True))) for row in designs] if plan.linear else []
-    )
-    damping, critical = np.full(len(designs), np.nan), np.full(len(designs), np.nan)
-    for i, design in enumerate(made):
-        damping[i] = linearise(design.machine, design.speed, plan.study.settings).least_damping()
-        found = critical_speed(design.machine, plan.study.settings)
-        critical[i] = np.nan if found is None else found
     return Sweep(plan, designs, indices, damping, critical, sweep_step_error(plan))
+
+
+def linear_indices(plan: SweepPlan, designs: Floats) -> Floats:
+    """Least damping and critical speed (NaN: none found) of every design, (2, n).
+
+    Raises StudyError for a design whose speed is not below its critical one.
+    """
+    found = np.full((2, len(designs)), np.nan)
+    for i, row in enumerate(designs):
+        design = make_design(plan, dict(zip(plan.names, row, strict=True)))
+        model = linearise(design.machine, design.speed, plan.study.settings)
+        found[0, i] = model.least_damping()
+        bound = critical_speed(design.machine, plan.study.settings)
+        if bound is not None:
+            found[1, i] = bound
+            if not design.speed < bound:
+                raise StudyError(
+                    f"speed is {design.speed:.2f} m/s in one of the designs; there the critical speed is "
+                    f"{bound:.2f} m/s: lower the range of speed"
+                )
+    return found
 
 
 def simulate_designs(

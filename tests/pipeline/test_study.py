@@ -144,7 +144,7 @@ def test_charts_show_the_papers_axes(study):
 def test_simulate_leaves_tables_and_figures(tmp_path):
     done = []
     output = make_study(tmp_path, ["b"], SHORT, done.append)
-    assert done == ["b"]
+    assert done == ["version b: 4 soils"]
     names = {path.relative_to(tmp_path).as_posix() for path in output.files}
     assert {"b.parquet", "table.parquet", "linear.parquet", "figures/study-fig5-spectra.svg"} <= names
     assert all(path.stat().st_size > 0 for path in output.files)

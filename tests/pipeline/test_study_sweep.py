@@ -169,7 +169,13 @@ def test_too_few_designs_for_a_surface_are_refused(sweep):
         (lambda: SweepPlan(sampler="random"), "must be grid, latin or sobol"),
         (lambda: make_design(PLAN, {"seeder.hitch_to_con": 2.0}), "did you mean `hitch_to_com`"),
         (lambda: make_design(PLAN, {"driver.mood": 2.0}), r"driver\.mood: unknown parameter"),
-        (lambda: make_design(PLAN, {"tractor.mass": -1.0}), r"tractor\.mass is -1\.0"),
+        (lambda: make_design(PLAN, {"tractor.mass": np.float64(-1.0)}), r"tractor\.mass is -1\.0;"),
+        (
+            lambda: run_sweep(
+                dataclasses.replace(PLAN, base=VERSIONS["a"], parameters=(Parameter("speed", 2.0, 50.0),))
+            ),
+            r"speed is [34]\d\.\d+ m/s in one of the designs; there the critical speed is 24\.",
+        ),
     ],
 )
 def test_impossible_sweeps_are_refused_in_one_line(make, message):
