@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +87,7 @@ class Summary:
     mean_log_null: float
     r95: float
     spread2: float
+    spread_floor: float
     dof: int
     count: int
     log_r95_variance: float
@@ -144,6 +144,7 @@ def summarise(passes: Sequence[PassStatistics], response: str) -> Summary:
         mean_log_null=float(np.mean([0.5 * np.log(max(m.null_mse, 1e-300)) for m in members])),
         r95=float(np.exp(np.mean([np.log(ranges[p.cell]) for p in passes]))),
         spread2=max(spread2, floor),
+        spread_floor=floor,
         dof=dof,
         count=count,
         log_r95_variance=R95_LOG_VARIANCE / max(sum(m.n_eff_range for m in members), 1.0),

@@ -23,6 +23,7 @@ LARGEST_CURVATURE = 0.02  # 1/m
 SHORTEST_ROW = 60.0  # m
 WORTH_MENTIONING = 15.0  # m: shorter steady stretches are turns' middles and need no word
 LINE_ANGLE, LINE_OFFSET = np.deg2rad(5.0), 2.0  # how near the manifest's line must lie to serve a row
+BENT_OVER = 10.0  # m: weaving averages out over so much
 SMOOTHED_OVER = 1.0  # s: a sample's noise neither begins nor ends a row
 COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 
@@ -110,14 +111,21 @@ def straight_stretches(motion: Motion, nominal_speed: float) -> Iterator[tuple[i
 
 
 def steady_samples(motion: Motion, nominal_speed: float) -> Mask:
-    """(N,) whether the speed is held and the curvature |yaw rate / speed| is small, both smoothed over 1
-    s."""
+    """(N,) whether the speed is held and the track is not bent.
+
+    Speed is smoothed over 1 s. Curvature |yaw rate / speed| is looked at over 1 s and over 10 m, and one of
+    them must be small: a machine that weaves bends sharply for a second and not over 10 m, a turn does both.
+    """
     step = float(np.median(np.diff(motion.t))) if motion.t.size > 1 else 1.0
-    width = max(1, round(SMOOTHED_OVER / step))
-    speed = uniform_filter1d(motion.tractor.v, width)
-    yaw_rate = uniform_filter1d(motion.tractor.yaw_rate, width)
-    bent = np.abs(yaw_rate) > LARGEST_CURVATURE * np.maximum(speed, 1e-9)
-    return np.asarray((speed >= HELD_SPEED * nominal_speed) & ~bent)
+    second, stretch = (max(1, round(t / step)) for t in (SMOOTHED_OVER, BENT_OVER / nominal_speed))
+    speed, yaw_rate = motion.tractor.v, motion.tractor.yaw_rate
+    bent = [
+        np.abs(uniform_filter1d(yaw_rate, width))
+        > LARGEST_CURVATURE * np.maximum(uniform_filter1d(speed, width), 1e-9)
+        for width in (second, stretch)
+    ]
+    fast = uniform_filter1d(speed, second) >= HELD_SPEED * nominal_speed
+    return np.asarray(fast & ~(bent[0] & bent[1]))
 
 
 def runs(mask: Mask) -> list[tuple[int, int]]:

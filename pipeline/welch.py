@@ -163,7 +163,8 @@ def peaks(density: Density, most: int = 3) -> tuple[Peak, ...]:
 def half_power_band(values: Floats, place: int) -> tuple[int, int]:
     """First and last sample about a peak where the density stays at half of it or more.
 
-    No narrower than the Hann window's main lobe, two samples to each side: there a pure sine has all its power.
+    No narrower than the Hann window's main lobe, two samples to each side: there a pure sine has all its
+    power.
     """
     low, high = max(place - 2, 1), min(place + 2, values.size - 1)
     while low > 1 and values[low - 1] >= 0.5 * values[place]:

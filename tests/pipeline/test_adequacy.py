@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 from scipy.stats import t as student
-from smts_validate.pipeline.adequacy import Rules, judge_campaign, judge_pass, passes_needed
+from smts_validate.pipeline.adequacy import Rules, facts_of, judge_campaign, judge_pass, passes_needed
 from smts_validate.pipeline.bounds import (
     DEVIATION1,
     DEVIATION2,
@@ -317,7 +317,7 @@ def test_no_number_of_passes_mends_what_alignment_absorbs() -> None:
 def test_a_model_exactly_at_the_threshold_needs_more_passes_than_anyone_drives() -> None:
     passes = campaign(THRESHOLD)
     summaries = {n: summarise(passes, n) for n in RESPONSES}
-    assert passes_needed(passes, summaries, Rules()) is None
+    assert passes_needed(facts_of(passes, summaries), summaries, Rules()) is None
 
 
 def test_one_pass_speaks_of_itself_and_not_of_the_model() -> None:

@@ -82,6 +82,17 @@ def test_a_stretch_that_is_too_short_is_passed_over_with_its_reason() -> None:
     assert "60 m" in short.reason
 
 
+def test_a_row_that_weaves_like_the_paper_s_first_version_is_one_row() -> None:
+    # 5.8° of yaw range and 0.11 m of deviation: a wave of 7 m that bends by 0.046 1/m, yet the track is
+    # straight.
+    k = 2.0 * np.pi / 7.0
+    s = SPEED * STEP * np.arange(2000)
+    curvature = np.concatenate((-0.05 * k * k * np.sin(k * s), turn(), straight(80.0)))
+    rows = find_rows(driven(curvature, at_speed(curvature), float(np.arctan(0.05 * k))), manifest_of())
+    assert [r.direction for r in rows] == ["east", "west"]
+    assert rows[0].length == pytest.approx(111.0, abs=4.0)
+
+
 def test_a_turn_alone_holds_no_row() -> None:
     curvature = turn(angle=6.0 * np.pi)
     assert find_rows(driven(curvature, at_speed(curvature)), manifest_of()) == ()
