@@ -27,7 +27,7 @@ from .steering import best_steering
 Floats = NDArray[np.float64]
 
 LONG = 60_000  # nodes: longer passes get half the draws
-CRAB = 0.25  # constant crab, unseen, as a share of the slip angle's standard deviation
+CRAB = 0.1  # constant crab, unseen, as a share of the slip angle's standard deviation: side forces average out along a row
 OUTAGE = 2.0  # s without an accepted position that is worth a warning
 
 

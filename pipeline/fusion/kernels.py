@@ -310,19 +310,21 @@ def predict_second(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def predict_hitch(x, node, p, H):  # type: ignore[no-untyped-def]
-    """Lateral velocity at the seeder's axle less its slip: zero, for the hitch is rigid; fills H."""
+    """Lateral velocity at the seeder's axle less its slip: zero, for the hitch is rigid; fills H.
+
+    The gyros' scale errors stay out: here they are less than slip, and slip that turns the seeder would pass for them.
+    """
     bend = x[YAW1] - x[YAW2]
     c, s = math.cos(bend), math.sin(bend)
     w1, w2 = node[U_WZ] - x[BGZ], node[U_W2] - x[BGZ2]
-    across = x[SLIP1] + x[TURN1] - p[P_HITCH] * w1 * (1.0 - x[SCALE1])
+    across = x[SLIP1] + x[TURN1] - p[P_HITCH] * w1
     H[:] = 0.0
-    H[SCALE1], H[SCALE2] = p[P_HITCH] * w1 * c, p[P_AXLE2] * w2
     H[TURN1], H[TURN2] = c, -1.0
     H[V], H[SLIP1], H[SLIP2] = s, c, -1.0
     H[BGZ], H[BGZ2] = p[P_HITCH] * c, p[P_AXLE2]
     H[YAW1] = x[V] * c - across * s
     H[YAW2] = -H[YAW1]
-    return x[V] * s + across * c - p[P_AXLE2] * w2 * (1.0 - x[SCALE2]) - x[SLIP2] - x[TURN2]
+    return x[V] * s + across * c - p[P_AXLE2] * w2 - x[SLIP2] - x[TURN2]
 
 
 @njit(cache=True, error_model="numpy")

@@ -15,7 +15,8 @@ Floats = NDArray[np.float64]
 
 EVERY = 25  # nodes: 2 Hz is enough for what is slow
 SLOWEST = 0.7  # m/s: no kinematic angle below
-FRONT_SLIP = 0.006  # rad: least standard deviation of the front wheels' slip angle
+FRONT_SLIP = 0.003  # rad: least standard deviation of the front wheels' slip angle
+FRONT_TIME = 1.0  # s, correlation of the front wheels' slip
 WHITE = 0.003  # rad, of a kinematic angle at one instant
 
 
@@ -63,7 +64,7 @@ def best_steering(
     """Steering angle and its standard deviation, rad (N,), by everything; NaN where nothing is known.
 
     The given series errs by a zero, a slow Gauss-Markov error and a fast rest; the kinematic angle errs by the
-    front wheels' slip (a Gauss-Markov process of TAU_SLIP that grows with lateral acceleration).
+    front wheels' slip (a Gauss-Markov process of FRONT_TIME that grows with lateral acceleration).
     """
     path = kinematic_angle(body, front_axle)
     slip = max(beta, FRONT_SLIP) + physics.COMPLIANCE * np.abs(body.v * body.yaw_rate)
@@ -74,7 +75,7 @@ def best_steering(
     tau = max(given.correlation_time, 1e-3)
     slow = given.sd[k] if given.correlation_time > 5.0 * dt else np.zeros(k.size)
     fast = np.zeros(t.size) if given.correlation_time > 5.0 * dt else given.sd
-    keep = np.array([np.exp(-dt / tau), 1.0, np.exp(-dt / physics.TAU_SLIP)])
+    keep = np.array([np.exp(-dt / tau), 1.0, np.exp(-dt / FRONT_TIME)])
     decay = np.tile(keep, (k.size, 1))
     drive = np.column_stack([slow**2 * (1 - keep[0] ** 2) + 1e-14, np.full(k.size, 1e-14), slip[k] ** 2 * (1 - keep[2] ** 2)])
     start = np.diag([max(slow[0], 1e-6) ** 2, given.zero_sd**2, slip[0] ** 2])
