@@ -106,8 +106,13 @@ def sensitivities(plan: SweepPlan, index: str = "r95_1", samples: int = 128) -> 
     """Sobol indices of ln(index) by Saltelli's estimator: samples·(parameters + 2) designs, each over all
     soils.
 
-    samples must be a power of 2. Source: A. Saltelli et al., Comput. Phys. Commun. 181 (2010); scipy.stats.
+    samples must be a power of 2, else StudyError. Source: A. Saltelli et al., Comput. Phys. Commun. 181
+    (2010); scipy.stats.
     """
+    if len(plan.parameters) < 2:
+        raise StudyError("sensitivities share the variance between two parameters or more")
+    if samples < 2 or samples & (samples - 1):
+        raise StudyError(f"samples is {samples}; Sobol sensitivities need a power of 2")
     column = INDICES.index(index)
 
     def response(unit: Floats) -> Floats:

@@ -116,7 +116,7 @@ def make_sweep(
     straightest.
 
     index : of study_indices.INDICES, by which straightness is judged; sobol_samples : a power of two, 0:
-    without sensitivities. Raises StudyError, one line.
+    without sensitivities (nor with one parameter). Raises StudyError, one line.
     """
     if index not in INDICES:
         raise StudyError(f"index {index!r}: unknown; known are {', '.join(INDICES)}")
@@ -137,7 +137,7 @@ def make_sweep(
         single_effects(chosen, index=index),
     )
     few = dataclasses.replace(chosen, seeds=min(soils, 8))
-    found = sensitivities(few, index, sobol_samples) if sobol_samples else None
+    found = sensitivities(few, index, sobol_samples) if sobol_samples and len(parameters) > 1 else None
     files = [*write_sweep(out, sweep, answer_values(best, found, single))]
     files += write_files([surface_chart(surface)], out / "figures")
     tables = (best_block(best, chosen.base), *(() if found is None else (sensitivity_block(found),)))

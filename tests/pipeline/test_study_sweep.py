@@ -168,6 +168,11 @@ def test_too_few_designs_for_a_surface_are_refused(sweep):
         (lambda: SweepPlan(count=0), "count is 0"),
         (lambda: SweepPlan(sampler="random"), "must be grid, latin or sobol"),
         (lambda: make_design(PLAN, {"seeder.hitch_to_con": 2.0}), "did you mean `hitch_to_com`"),
+        (lambda: sensitivities(PLAN, samples=12), "samples is 12; .* power of 2"),
+        (
+            lambda: sensitivities(dataclasses.replace(PLAN, parameters=PAPER_QUESTION[:1])),
+            "two parameters or more",
+        ),
         (lambda: make_design(PLAN, {"driver.mood": 2.0}), r"driver\.mood: unknown parameter"),
         (lambda: make_design(PLAN, {"tractor.mass": np.float64(-1.0)}), r"tractor\.mass is -1\.0;"),
         (
