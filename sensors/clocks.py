@@ -35,6 +35,9 @@ NEIGHBOURS = 1.0  # s: a counter that advances less than this between rows has n
 RESET_STEP = 0.25  # s: by which a counter's advance differs from the host's when it was reset
 HUGE_STEP = 600.0  # s: no latency lasts so long
 MIN_SEGMENT = 5  # samples: fewer between two resets are a corrupt counter
+STRAY_SHARE = 0.01  # of the rows may stand out of order where only the host's time tells
+STRAY_LIMIT = 1.0  # s, by which they may be late
+SURE_GAP = 2.5  # nominal periods: a longer gap is a lost sample, without a counter
 MIN_EPOCHS = 20  # epochs of a slow receiver on each side of a jump
 SHARED_RATE_SD = 2.0e-6  # rate of one crystal before and after a reset
 
@@ -247,6 +250,7 @@ def sample_times(
     rate: float,
     tick: float = 1.0e-6,
     span: int | None = COUNTER_SPAN,
+    repeats: Bools | None = None,
 ) -> SampleTimes:
     """Instants of a unit's samples on the host's clock, up to the least latency.
 
@@ -257,13 +261,14 @@ def sample_times(
         without a counter the host's time is the time
     seq : (N,) counter of samples, wraps at 2^16; None: lost samples are counted from gaps
     rate : Hz, nominal
+    repeats : (N,) where a row's readings are those of the row before: tells doubled rows without a counter
 
     Raises
     ------
-    ClockError : without a counter, time that falls back.
+    ClockError : without a counter, time that falls back by more than a few stray rows.
     """
     if counter is None:
-        return _host_only(host, seq, rate)
+        return _host_only(host, seq, rate, repeats)
     step, short = _counter_increments(counter, tick, span, host)
     near = np.abs(step) < NEIGHBOURS
     resets = np.flatnonzero(~near & (np.abs(short) > RESET_STEP)) + 1
@@ -365,20 +370,41 @@ def _lost(t: Floats, seq: Ints | None, rate: float) -> int:
     return max(int(whole[-1] - whole[0]) + 1 - int(distinct), 0)
 
 
-def _host_only(host: Floats, seq: Ints | None, rate: float) -> SampleTimes:
-    falls = np.diff(host) < 0.0
-    if falls.any():
-        row = int(np.argmax(falls)) + 1
+def _host_only(host: Floats, seq: Ints | None, rate: float, repeats: Bools | None) -> SampleTimes:
+    """The host's time as the time: a few stray rows sorted in, rows that arrived together spread backward."""
+    behind = np.maximum.accumulate(host) - host
+    stray = np.flatnonzero(behind > 0.0)
+    if stray.size > max(STRAY_SHARE * host.size, 0) or behind.max(initial=0.0) > STRAY_LIMIT:
+        row = int(np.argmax(np.diff(host) < 0.0)) + 1
         amount = 1.0e3 * (host[row - 1] - host[row])
         raise ClockError(
             f"time falls back by {amount:.1f} ms; sort the log, or split it where the logger restarted", row
         )
-    fresh = np.diff(host, prepend=-np.inf) > 0.0
-    kept = np.flatnonzero(fresh)
-    lost = _lost(host[kept], None if seq is None else seq[kept], rate)
+    order = np.argsort(host, kind="stable")
+    again = np.zeros(host.size, dtype=np.bool_) if repeats is None else repeats[order]
+    again[1:] &= np.diff(order) == 1  # a repetition of the row before it in the file
+    again[1:] &= np.diff(host[order]) == 0.0
+    kept, doubled = order[~again], np.sort(order[again])
+    t = _spread(host[kept], rate)
+    lost = _lost_in_gaps(t, rate) if seq is None else _lost(t, seq[kept], rate)
     none = np.zeros(0, dtype=np.int64)
-    doubled = np.flatnonzero(~fresh)
-    return SampleTimes(kept, host[kept], host[kept], float("nan"), doubled, none, lost, 0, none, ())
+    return SampleTimes(kept, t, host[kept], float("nan"), doubled, stray, lost, 0, none, ())
+
+
+def _spread(host: Floats, rate: float) -> Floats:
+    """Rows that arrived at one instant, spread evenly back towards the one before, a period each at most."""
+    first = np.flatnonzero(np.diff(host, prepend=-np.inf) > 0.0)
+    count = np.diff(np.append(first, host.size))
+    room = np.diff(host[first], prepend=host[0] - 1.0)
+    step = np.minimum(1.0 / rate, room / (count + 1))
+    last = np.repeat(first + count - 1, count)
+    return np.asarray(host - (last - np.arange(host.size)) * np.repeat(step, count))
+
+
+def _lost_in_gaps(t: Floats, rate: float) -> int:
+    """Samples that gaps are too long to be without; shorter ones are latency."""
+    periods = np.diff(t) * rate
+    return int((np.rint(periods[periods > SURE_GAP]) - 1).sum())
 
 
 @dataclass(frozen=True)

@@ -143,8 +143,11 @@ def _sample_times(raw: RawImu | RawSteer, rate: float, base: int, file: str) -> 
     host = _seconds(raw.host_ns, base)
     try:
         if isinstance(raw, RawSteer):
-            return clocks.sample_times(host, None, None, rate)
-        return clocks.sample_times(host, raw.counter, raw.seq, rate, raw.tick, raw.span)
+            again = np.diff(raw.angle, prepend=np.nan) == 0.0
+            return clocks.sample_times(host, None, None, rate, repeats=again)
+        readings = np.hstack([raw.specific_force, raw.angular_velocity])
+        again = (np.diff(readings, axis=0, prepend=np.nan) == 0.0).all(axis=1)
+        return clocks.sample_times(host, raw.counter, raw.seq, rate, raw.tick, raw.span, again)
     except ClockError as error:
         where = f"{file}, row {raw.rows[error.row]}" if error.row is not None else file
         raise RawError(f"{where}: {error}") from None
@@ -154,7 +157,7 @@ def _clock_warnings(times: SampleTimes, rows: Ints, name: str, file: str) -> lis
     found = []
     for where, what, effect in (
         (times.doubled, "doubled", "the first of each is used"),
-        (times.disordered, "out of order", "sorted by the unit's counter"),
+        (times.disordered, "out of order", "sorted by time"),
     ):
         if where.size:
             found.append(Warn(f"{rows_of(where.size)} {what}", effect, name, file, int(rows[where[0]])))

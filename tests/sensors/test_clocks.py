@@ -134,6 +134,32 @@ def test_without_a_counter_the_hosts_time_is_the_time() -> None:
     assert np.isnan(times.drift)
 
 
+def test_a_few_stray_rows_without_a_counter_are_sorted_in() -> None:
+    host = np.arange(1000) * 0.01
+    order = np.arange(1000)
+    order[[500, 503]] = order[[503, 500]]
+    times = clocks.sample_times(host[order], None, None, RATE)
+    assert np.array_equal(times.t, host)
+    assert 503 in times.disordered
+    assert times.lost == 0
+
+
+def test_rows_that_arrived_together_are_told_from_doubled_ones_and_spread() -> None:
+    host = np.array([0.0, 0.01, 0.02, 0.05, 0.05, 0.05, 0.06, 0.06])
+    same = np.array([False] * 7 + [True])
+    times = clocks.sample_times(host, None, None, RATE, repeats=same)
+    assert times.doubled.tolist() == [7]
+    assert times.t == pytest.approx([0.0, 0.01, 0.02, 0.035, 0.0425, 0.05, 0.06])
+    assert (np.diff(times.t) > 0.0).all()
+
+
+def test_jitter_without_a_counter_is_no_lost_sample_but_a_long_gap_is() -> None:
+    rng = np.random.default_rng(3)
+    host = np.arange(3000) / 50.0 + rng.uniform(0.0, 0.009, 3000)
+    assert clocks.sample_times(host, None, None, 50.0).lost == 0
+    assert clocks.sample_times(np.delete(host, slice(100, 110)), None, None, 50.0).lost == 10
+
+
 def test_time_that_falls_back_without_a_counter_is_refused_with_row_and_amount() -> None:
     host = np.array([0.0, 0.01, 0.02, 0.018, 0.03])
     with pytest.raises(clocks.ClockError, match=r"falls back by 2\.0 ms") as caught:

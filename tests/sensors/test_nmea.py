@@ -274,6 +274,6 @@ def test_a_long_log_is_read_at_three_hundred_thousand_sentences_a_second() -> No
 
 
 def _seconds(text: bytes) -> float:
-    start = time.perf_counter()
+    start = time.process_time()
     assert nmea.parse(text, "gps.nmea", "gps", DATE).sentences == 200_000
-    return time.perf_counter() - start
+    return time.process_time() - start
