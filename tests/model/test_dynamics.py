@@ -36,7 +36,7 @@ def test_accelerations_are_those_of_the_symbolic_derivation_with_every_force(mac
     for state in random_states(20, seed=2):
         expected = oracle.accelerations(machine, state, steer, 2.5, 0.3, DISTURBANCE)
         found = dynamics.right_hand_side(machine, state, inputs)[4:]
-        assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
+        assert np.abs(found - expected).max() < 1e-13 * np.abs(expected).max()
 
 
 def compiled_right_hand_side(machine, state, inputs, settings, slips=None):
