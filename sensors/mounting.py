@@ -42,8 +42,13 @@ def to_body(stream: ImuStream, sensor: Imd | Wds) -> tuple[Floats, Floats]:
 
     For a wheel's unit the body is the wheel, whose frame turns with it.
     """
-    turned = mounting_matrix(sensor.rotation_deg).T
-    return stream.specific_force @ turned, stream.angular_velocity @ turned
+    turn = mounting_matrix(sensor.rotation_deg)
+    return turned(stream.specific_force, turn), turned(stream.angular_velocity, turn)
+
+
+def turned(vectors: Floats, matrix: Floats) -> Floats:
+    """Each row v of (N, 3) as matrix·v, without BLAS: its threads take longer to gather than to multiply."""
+    return np.asarray(np.einsum("kj,nj->nk", matrix, vectors))
 
 
 def wheel_hub(machine: Machine, wheel: Wheel) -> Floats:

@@ -143,8 +143,13 @@ def time_offset(t: Floats, x: Floats, t_ref: Floats, x_ref: Floats) -> tuple[flo
 
 def _correlation(x: Floats, centred: Floats) -> float:
     x = x - x.mean()
-    size = float(np.sqrt((x @ x) * (centred @ centred)))
-    return float(x @ centred) / size if size > 0.0 else 0.0
+    size = float(np.sqrt(_dot(x, x) * _dot(centred, centred)))
+    return _dot(x, centred) / size if size > 0.0 else 0.0
+
+
+def _dot(x: Floats, y: Floats) -> float:
+    """Sum of products; many short calls of a threaded library wait for each other on a busy machine."""
+    return float(np.einsum("i,i->", x, y))
 
 
 def _wheel(stream: ImuStream, sensor: Wds, machine: Machine, streams: Mapping[str, Stream]) -> Finding:

@@ -13,7 +13,7 @@ from .alignment import AlignmentError, Offset, motion_offset
 from .clocks import ClockLine, HostToUtc, SampleTimes
 from .geodesy import to_enu
 from .manifest import Gps, Imd, Manifest
-from .mounting import mounting_matrix
+from .mounting import mounting_matrix, turned
 from .raw import Floats, Ints, Raw, RawError, RawGnss, RawImu
 from .streams import Warn
 
@@ -107,11 +107,11 @@ def _offset(
     if sensor.body == "seeder" and machine.seeder is not None:
         axle = float(np.mean(machine.seeder.axles))
     imd: Imd = run.of_kind("imd")[unit]
-    turned = np.asarray(raw.angular_velocity[times.index] @ mounting_matrix(imd.rotation_deg).T)
+    turning = turned(raw.angular_velocity[times.index], mounting_matrix(imd.rotation_deg))
     utc = gnss.utc - base * 1.0e-9
     course, speed = _over_ground(gnss)
     lever = (axle + sensor.position[0], sensor.position[2])
-    return motion_offset(times.t, turned, utc, course, speed, lever)
+    return motion_offset(times.t, turning, utc, course, speed, lever)
 
 
 def _over_ground(gnss: RawGnss) -> tuple[Floats, Floats]:
