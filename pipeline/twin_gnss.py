@@ -3,11 +3,13 @@
 | quality | GGA | white | slow (Gauss-Markov) | velocity | of |
 | --- | --- | --- | --- | --- | --- |
 | RTK fixed | 4 | 6 mm | 9 mm over 40 s | 0.02 m/s | ZED-F9P: 0.01 m + 1 ppm CEP, 0.05 m/s |
-| RTK float | 5 | 3 cm | 20 cm over 30 s | 0.03 m/s | receivers state 0.1 to 0.5 m |
-| DGPS | 2 | 10 cm | 40 cm over 100 s | 0.04 m/s | SBAS: 0.6 to 1 m CEP |
-| single | 1 | 25 cm | 1.0 m over 120 s | 0.05 m/s | ZED-F9P: 1.5 m CEP |
+| RTK float | 5 | 2 cm | 20 cm over 30 s | 0.03 m/s | receivers state 0.1 to 0.5 m |
+| DGPS | 2 | 4 cm | 40 cm over 100 s | 0.04 m/s | SBAS: 0.6 to 1 m CEP |
+| single | 1 | 5 cm | 1.0 m over 120 s | 0.05 m/s | ZED-F9P: 1.5 m CEP |
 
-Each axis, 1 sigma; up twice that. Slow errors are why an hour's average is no better than a minute's.
+Each axis, 1 sigma; up twice that. Slow errors are why an hour's average is no better than a minute's;
+receivers filter their solution, which is why even a single-point fix jitters by centimetres only
+(`white_scale` for one that does not).
 """
 
 from __future__ import annotations
@@ -55,9 +57,9 @@ class Grade:
 
 GRADES = {
     "rtk_fixed": Grade(4, 0.006, 0.009, 40.0, 0.02),
-    "rtk_float": Grade(5, 0.03, 0.20, 30.0, 0.03),
-    "dgps": Grade(2, 0.10, 0.40, 100.0, 0.04),
-    "single": Grade(1, 0.25, 1.0, 120.0, 0.05),
+    "rtk_float": Grade(5, 0.02, 0.20, 30.0, 0.03),
+    "dgps": Grade(2, 0.04, 0.40, 100.0, 0.04),
+    "single": Grade(1, 0.05, 1.0, 120.0, 0.05),
 }
 NONE = 0  # GGA code of an epoch without a position
 
@@ -83,7 +85,7 @@ def fixes(plan: GnssPlan, rate: float, t: Floats, rng: np.random.Generator) -> F
         quality,
         grade,
     ) in GRADES.items():  # every grade's series is drawn: a plan's spans do not move the others
-        series, velocity = _errors(grade, t.size, 1.0 / rate, rng)
+        series, velocity = _errors(grade, plan.white_scale, t.size, 1.0 / rate, rng)
         here = name == quality
         error[here], speed_error[here] = series[here], velocity[here]
         stated[here] = grade.sigma
@@ -101,11 +103,15 @@ def qualities(plan: GnssPlan, t: Floats) -> NDArray[np.str_]:
     return name
 
 
-def _errors(grade: Grade, n: int, step: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _errors(
+    grade: Grade, white_scale: float, n: int, step: float, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
     shape = np.array([1.0, 1.0, 2.0])
     slow = np.column_stack([wander(n, step, grade.time, rng) for _ in range(3)])
     white = rng.standard_normal((n, 3))
-    return shape * (grade.slow * slow + grade.white * white), grade.velocity * rng.standard_normal((n, 3))
+    return shape * (
+        grade.slow * slow + grade.white * white_scale * white
+    ), grade.velocity * rng.standard_normal((n, 3))
 
 
 def _spikes(plan: GnssPlan, t: Floats, rng: np.random.Generator) -> Floats:

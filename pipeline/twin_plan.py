@@ -119,9 +119,9 @@ class GnssPlan:
     size m).
 
     kind: quality where no span says otherwise. latency: least delay from validity to arrival; None draws
-    it from 20 to 150 ms. latency_jitter: mean of the exponential rest. heading_noise_deg: of HDT,
-    which the receivers in `heading` have. gst, rmc, host_time: whether the log has GST, has RMC and VTG, and
-    has the logger's time before each sentence.
+    it from 20 to 150 ms. latency_jitter: mean of the exponential rest. white_scale: of the white part of
+    the error. heading_noise_deg: of HDT, which the receivers in `heading` have. gst, rmc, host_time:
+    whether the log has GST, has RMC and VTG, and has the logger's time before each sentence.
     """
 
     kind: Literal["rtk_fixed", "rtk_float", "dgps", "single"] = "rtk_fixed"
@@ -131,6 +131,7 @@ class GnssPlan:
     spikes: Jumps = ()
     latency: float | None = None
     latency_jitter: float = 0.01
+    white_scale: float = 1.0
     heading: tuple[str, ...] = ()
     heading_noise_deg: float = 0.15
     heading_bias_deg: float = 0.1
