@@ -62,6 +62,7 @@ class Judged:
     r95: float
     u: float
     u_range: float
+    u_absolute: float
     u_input: float
     spread: float
     dof: int
@@ -104,6 +105,7 @@ def judged(summary: Summary, response: str, rules: Rules, responses: int, spread
         r95=summary.r95,
         u=float(np.sqrt(summary.u2)),
         u_range=float(np.sqrt(summary.u2_range)),
+        u_absolute=float(np.sqrt(summary.u2_absolute)),
         u_input=float(np.sqrt(summary.u2_input)),
         spread=float(np.sqrt(summary.spread2)),
         dof=summary.dof,

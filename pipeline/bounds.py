@@ -37,6 +37,8 @@ class ResponseStatistics:
     r95 : Q97.5 − Q2.5 of the measured deviation, the rows centred
     u2 : variance that measuring error leaves in the residual after alignment
     u2_range : variance of the centred measured deviation's own error (it widens r95)
+    u2_absolute : variance of the measured deviation's (yaw's) error, nothing centred: whether a swing
+    can be seen
     u2_input : variance of the residual from steering, start and stated parameters, after the same alignment
     n_eff, n_eff_range : effective number of independent samples in the residual and in the deviation
     deviation : (N,) the measured deviation, the rows centred, to pool over a cell's passes
@@ -47,6 +49,7 @@ class ResponseStatistics:
     r95: float
     u2: float
     u2_range: float
+    u2_absolute: float
     u2_input: float
     n_eff: float
     n_eff_range: float
@@ -93,6 +96,7 @@ class Summary:
     log_r95_variance: float
     u2: float
     u2_range: float
+    u2_absolute: float
     u2_input: float
     consistent: bool
 
@@ -150,6 +154,7 @@ def summarise(passes: Sequence[PassStatistics], response: str) -> Summary:
         log_r95_variance=R95_LOG_VARIANCE / max(sum(m.n_eff_range for m in members), 1.0),
         u2=float(np.mean([m.u2 for m in members])),
         u2_range=float(np.mean([m.u2_range for m in members])),
+        u2_absolute=float(np.mean([m.u2_absolute for m in members])),
         u2_input=float(np.mean([m.u2_input for m in members])),
         consistent=all(p.consistent for p in passes),
     )
@@ -184,6 +189,12 @@ def lower(summary: Summary, width: float, with_input: bool = True) -> float:
 
 
 def percentage_possible(summary: Summary, response: str) -> bool:
-    """Whether R95 is at least 4 standard uncertainties and 2 cm (0.3°)."""
-    least = max(LEAST_RANGE_IN_U * float(np.sqrt(summary.u2_range)), LEAST_RANGE[response])
+    """Whether R95 is at least 4 standard uncertainties and 2 cm (0.3°).
+
+    The uncertainty is that of the deviation from the line itself, offset included: a receiver of a metre
+    cannot
+    tell how straight a row was, however smooth its error is.
+    """
+    known = max(summary.u2_range, summary.u2_absolute)
+    least = max(LEAST_RANGE_IN_U * float(np.sqrt(known)), LEAST_RANGE[response])
     return bool(summary.r95 >= least)

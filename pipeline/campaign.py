@@ -124,6 +124,7 @@ def _response(values: Mapping[str, Any], columns: Mapping[str, Floats], name: st
         r95=values["r95"],
         u2=values["u"] ** 2,
         u2_range=values["u_range"] ** 2,
+        u2_absolute=values["u_absolute"] ** 2,
         u2_input=values["u_input"] ** 2,
         n_eff=values["n_eff"],
         n_eff_range=values["n_eff_range"],

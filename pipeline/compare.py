@@ -249,6 +249,7 @@ def response_statistics(rows: Sequence[RowComparison], name: str) -> ResponseSta
         r95=float(high - low),
         u2=float(np.mean(pooled("u2"))),
         u2_range=float(np.mean([range_variance(r, name) for r in rows])),
+        u2_absolute=float(np.mean([absolute_variance(r, name) for r in rows])),
         u2_input=float(np.mean(np.concatenate(inputs))),
         n_eff=sum(effective_count(r.residual[name][r.valid[name]]) for r in rows),
         n_eff_range=sum(effective_count(d) for d in deviations),
@@ -259,6 +260,11 @@ def response_statistics(rows: Sequence[RowComparison], name: str) -> ResponseSta
 def centred(values: Floats) -> Floats:
     """The values less their mean."""
     return np.asarray(values - values.mean())
+
+
+def absolute_variance(row: RowComparison, name: str) -> float:
+    """Variance of the error of the measured deviation (or yaw) over one row, nothing centred."""
+    return float(row.context.variance[row.grid.responses.index(name)])
 
 
 def range_variance(row: RowComparison, name: str) -> float:

@@ -66,6 +66,7 @@ def metrics_of(
             "consistent": motion.consistent,
             "channels": [asdict(channel) for channel in motion.consistency],
         },
+        "fusion": {"noise": dict(motion.noise), "calibration": dict(motion.calibration)},
         "provenance": dict(provenance or {}),
     }
 
@@ -168,6 +169,7 @@ def response_values(judged: Judged, name: str, comparison: Comparison) -> dict[s
         "r95": judged.r95,
         "u": judged.u,
         "u_range": judged.u_range,
+        "u_absolute": judged.u_absolute,
         "u_input": judged.u_input,
         "n_eff": None if own is None else own.n_eff,
         "n_eff_range": None if own is None else own.n_eff_range,

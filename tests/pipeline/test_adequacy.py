@@ -41,6 +41,7 @@ def response(d: float, u: float = 0.005, scale: float = 1.0, **changes: float) -
         "r95": float(np.hypot(swing, 3.92 * u)),
         "u2": u**2,
         "u2_range": u**2,
+        "u2_absolute": u**2,
         "u2_input": 0.0,
         "n_eff": 20.0,
         "n_eff_range": 15.0,
@@ -91,6 +92,7 @@ def drawn_campaign(
             r95=exact.r95 * np.exp(np.sqrt(R95_LOG_VARIANCE / n_range) * generator.standard_normal()),
             u2=exact.u2 * misstated,
             u2_range=exact.u2_range * misstated,
+            u2_absolute=exact.u2_absolute * misstated,
             n_eff=n_eff,
             n_eff_range=n_range,
         )
@@ -271,6 +273,12 @@ def test_a_swing_of_under_four_uncertainties_or_two_centimetres_gets_no_percenta
         lambda n, r: replace(r, r95=0.019 if n in (DEVIATION1, DEVIATION2) else 0.005),
     )
     assert all(j.d is None for j in judge_campaign(still).responses.values())
+
+
+def test_a_swing_is_not_seen_through_an_absolute_uncertainty_of_a_metre_however_smooth_it_is() -> None:
+    passes = altered(campaign(0.03), lambda n, r: replace(r, u2_absolute=(0.5 * SCALE[n]) ** 2))
+    verdict = judge_campaign(passes)
+    assert (verdict.value, verdict.codes) == ("inconclusive", ("small-swing",))
 
 
 def test_noise_of_a_metre_is_never_adequate_nor_not_adequate() -> None:
