@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import tempfile
 from collections.abc import Callable, Iterator
@@ -44,6 +45,8 @@ def run_batch(request: Request, watch: Watch, work: Callable[[Task], Outcome] = 
     Raises FindError when there is nothing to run, CampaignError for a campaign.toml that cannot be used,
     InterruptedBatch on Ctrl-C.
     """
+    if request.scheduler:
+        request = absolute(request)
     found = find(request.paths, request.out)
     campaign = read_campaign(request.campaign or found.campaign)
     with work_folder(request.out) as folder:
@@ -60,6 +63,13 @@ def run_batch(request: Request, watch: Watch, work: Callable[[Task], Outcome] = 
                     summarise, request.out, runs, summary["failures"], campaign
                 ).result()
             return summary
+
+
+def absolute(request: Request) -> Request:
+    """The request with paths that mean the same on workers with another working folder."""
+    paths = tuple(path if is_url(path) else os.path.abspath(path) for path in request.paths)
+    out = request.out if is_url(request.out) else os.path.abspath(request.out)
+    return replace(request, paths=paths, out=out)
 
 
 def _with_refused(ran: BatchRun, planned: Plan) -> BatchRun:

@@ -47,7 +47,17 @@ def common(command: Command) -> Command:
 
 def emit(document: Any, as_json: bool, text: Callable[[Any], str]) -> None:
     """Print a command's result: JSON for machines, or the text that `text` makes of it."""
-    click.echo(json.dumps(document, ensure_ascii=False, allow_nan=False) if as_json else text(document))
+    click.echo(json_of(document) if as_json else text(document))
+
+
+def json_of(document: Any) -> str:
+    """One line of JSON; numbers that are not finite become null."""
+    try:
+        return json.dumps(document, ensure_ascii=False, allow_nan=False)
+    except ValueError:
+        from .result import plain
+
+        return json.dumps(plain(document), ensure_ascii=False, allow_nan=False)
 
 
 def progress(message: str) -> None:

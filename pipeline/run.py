@@ -73,6 +73,7 @@ def provenance(log: FieldLog, settings: RunSettings) -> dict[str, Any]:
     """What a result came from: digests of inputs, versions, options; nothing that two runs differ in."""
     return {
         "source": Path(log.source).name,
+        "command": f"smts-validate run {Path(log.source).name}",
         "source_sha256": log.sha256,
         "manifest_sha256": hashlib.sha256(log.manifest_text.encode()).hexdigest(),
         "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from smts_validate.pipeline.batch import Request, absolute
 from smts_validate.pipeline.batch_find import FindError, Source, find
 from smts_validate.pipeline.batch_plan import Terms, name, plan
 from smts_validate.pipeline.run_settings import RunSettings
@@ -123,3 +124,9 @@ def test_memory_urls_are_walked_like_folders() -> None:
     found = find(["memory://find"], "memory://find/results")
     assert {source.path for source in found.sources} == {"memory:///find/a", "memory:///find/logs/b.mcap"}
     assert name(found.sources[0]).run == "far"
+
+
+def test_a_clusters_workers_get_paths_that_do_not_depend_on_where_they_run() -> None:
+    request = absolute(Request(paths=("data", "s3://bucket/x"), out="results", scheduler="tcp://a:1"))
+    assert request.paths == (str(Path("data").resolve()), "s3://bucket/x")
+    assert request.out == str(Path("results").resolve())
