@@ -11,7 +11,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 
 from .engine_compiled import TRIANGLE, Filtered, Smoothed
-from .filtering import is_pair, pack, unpack
+from .filtering import is_given, is_pair, pack, unpack
 from .kernels import GATE_1, GATE_2, predict, process_noise, transition
 from .prepare import STEP
 from .problem import Problem
@@ -70,7 +70,7 @@ def _update(
     S = H @ ekf.P @ H.T + R
     nu = q.z[rows] - expected
     gate = GATE_2 if len(rows) == 2 else GATE_1
-    passes = float(nu @ np.linalg.solve(S, nu)) <= gate
+    passes = is_given(q.kind[row]) or float(nu @ np.linalg.solve(S, nu)) <= gate
     _record(out, rows, H, ekf.P, q.var[rows], nu, passes)
     if passes:
         ekf.R = R

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from .kernels import GATE_1, GATE_2, PATTERN, predict, process_noise, transition
-from .state import EX, EY, FX, FY, KEPT, PAIRED, SIZE
+from .state import EX, EY, FX, FY, HITCH, KEPT, PAIRED, SIZE, STILL_AX, STILL_V
 
 KEEP = np.array(KEPT, dtype=np.int64)
 PAIRS = np.array(PAIRED, dtype=np.int64)
@@ -127,6 +127,15 @@ def is_pair(kind):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
+def is_given(kind):  # type: ignore[no-untyped-def]
+    """Whether this kind is mechanics, not a reading: the hitch and standing still have no outliers to refuse.
+
+    Refusing them would leave the seeder's yaw where a bad start put it.
+    """
+    return kind == HITCH or STILL_V <= kind <= STILL_AX
+
+
+@njit(cache=True, error_model="numpy")
 def update_node(x, P, lin, linear, node, kinds, z, var, ahead, p, first, last, H, K, S, nu, used, store):  # type: ignore[no-untyped-def]
     """All measurements of one node, in order; returns the Gaussian log-likelihood of those that pass the gate.
 
@@ -145,7 +154,7 @@ def update_node(x, P, lin, linear, node, kinds, z, var, ahead, p, first, last, H
         for i in range(count):
             left[i] = z[m + i] - expected(kinds[m + i], x, point, node, ahead[m + i], p, rows[i])
         gate = GATE_2 if count == 2 else GATE_1
-        passes = distance(P, rows, left, var, m, count) <= gate
+        passes = is_given(kinds[m]) or distance(P, rows, left, var, m, count) <= gate
         if not passes:
             total -= 0.5 * gate
         for i in range(count):

@@ -20,6 +20,7 @@ from .settings import FusionSettings, Levels
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+CREEP = 0.5  # m/s
 SHORTEST = 100  # nodes: 2 s
 FLOAT_PAUSE = 5.0  # s between spans that are not fixed: a new span has a new error
 
@@ -157,7 +158,7 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float, inj
     p = problem.with_levels(p, levels, known.epochs)
     p[s.P_TILT] = 1.0 if options.tilt_compensation else 0.0
     q = problem.measurements_of(
-        known.t, known.epochs, known.nodes, known.still, known.wheel, levels, p, lag, known.yaw
+        known.t, known.epochs, known.nodes, known.still, known.wheel, levels, p, lag, known.yaw, creeping(known)
     )
     x0, P0 = problem.starting_state(
         known.log.manifest, p, initial.first_position(known.epochs, known.t[0]),
@@ -167,6 +168,12 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float, inj
     if inject is None:
         inject = new_float_spans(known, lag, p)
     return Problem(known.t, known.steps, known.nodes, q, inject, p, x0, P0)
+
+
+def creeping(known: Known) -> Bools:
+    """Nodes slower than CREEP by the wheels, else by the receiver."""
+    speed = np.abs(known.speed) if known.wheel is None else np.abs(known.wheel.speed)
+    return np.asarray(np.nan_to_num(speed, nan=np.inf) < CREEP)
 
 
 def new_float_spans(known: Known, lag: float, p: Floats) -> Floats:

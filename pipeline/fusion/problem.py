@@ -211,16 +211,17 @@ class WheelSpeed:
 
 def measurements_of(
     t: Floats, epochs: Sequence[Epochs], nodes: Floats, still: NDArray[np.bool_], wheel: WheelSpeed | None,
-    levels: Levels, p: Floats, lag: float, yaw: tuple[Floats, Floats | None],
+    levels: Levels, p: Floats, lag: float, yaw: tuple[Floats, Floats | None], slow: NDArray[np.bool_],
 ) -> Measurements:  # fmt: skip
     """All scalar measurements in the order of nodes; `lag` places GNSS epochs beside their nearest node.
 
     yaw : approximate yaws on the grid, by which receivers' headings are unwrapped
+    slow : nodes where the machine creeps: its wheels' slip is not small against its speed there
     """
     parts: list[tuple[Ints, Ints, Floats, Floats, Floats]] = []
     for e in epochs:
         parts += _gnss(t, e, levels, lag, yaw, nodes, p)
-    parts += _motion(nodes, still, levels, p, wheel)
+    parts += _motion(nodes, still | slow, still, levels, p, wheel)
     parts += _rest(nodes, still, p) + _level(t, epochs, yaw[0])
     kind, node, z, var, ahead = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.lexsort((kind, node))
@@ -286,9 +287,11 @@ def _swing(node: Ints, ahead: Floats, nodes: Floats, yaw: Floats, p: Floats) -> 
     return along * c - across * sn, along * sn + across * c
 
 
-def _motion(nodes: Floats, still: NDArray[np.bool_], levels: Levels, p: Floats, wheel: WheelSpeed | None) -> list[Part]:
+def _motion(
+    nodes: Floats, slow: NDArray[np.bool_], still: NDArray[np.bool_], levels: Levels, p: Floats, wheel: WheelSpeed | None
+) -> list[Part]:
     every = np.arange(0, nodes.shape[0], EVERY_TILT)
-    moving = every[~still[every]]
+    moving = every[~slow[every]]
     noise = (levels.lateral * p[s.P_ACCEL]) ** 2 / STEP
     parts = [_part(s.ACCEL_Y, every, nodes[every, s.U_FY], noise)]
     if p[s.P_SEEDER] > 0.0:
