@@ -18,7 +18,7 @@ from .health import health_of, hint_warnings
 from .manifest import Manifest, Sensor
 from .raw import Floats, Ints, Raw, RawError, RawGnss, RawImu, RawSteer
 from .streams import FieldLog, GnssStream, ImuStream, SteerStream, Stream, Warn, WheelStream
-from .utc import utc_map
+from .utc import steady_epochs, utc_map
 
 MANIFEST = "run.toml"
 HEAD = 4096
@@ -88,7 +88,8 @@ def _assemble(
 ) -> FieldLog:
     base = _base_ns(raws.values())
     timed, warnings, facts = _host_times(run, raws, base)
-    to_utc, gnss_warnings, clock = utc_map(run, raws, timed, base)
+    gnss_warnings = _steady(run, raws, base)
+    to_utc, map_warnings, clock = utc_map(run, raws, timed, base)
     found = [warning for raw in raws.values() for warning in raw.warnings]
     streams: dict[str, Stream] = {}
     for name in tuple(raws):
@@ -101,13 +102,24 @@ def _assemble(
         manifest=run,
         manifest_text=text,
         streams=streams,
-        warnings=tuple(found + warnings + gnss_warnings),
+        warnings=tuple(found + warnings + gnss_warnings + map_warnings),
         source=str(folder),
         sha256=_digest([folder / MANIFEST, *paths.values()]),
     )
     health = health_of(log, facts | {"clock": clock})
     files = {name: sensor.file for name, sensor in run.sensors.items()}
     return replace(log, health=health, warnings=log.warnings + hint_warnings(health, files))
+
+
+def _steady(run: Manifest, raws: dict[str, Raw], base: int) -> list[Warn]:
+    """Replace each receiver's epochs by those whose time can be true, arrivals without jumps."""
+    warnings: list[Warn] = []
+    for name, sensor in run.of_kind("gps").items():
+        raw = raws[name]
+        if isinstance(raw, RawGnss):
+            raws[name], found = steady_epochs(name, sensor, raw, base)
+            warnings += found
+    return warnings
 
 
 def _base_ns(raws: Iterable[Raw]) -> int:

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from . import clocks
 from .alignment import AlignmentError, Offset, motion_offset
+from .checks import rows_of
 from .clocks import ClockLine, HostToUtc, SampleTimes
 from .geodesy import to_enu
 from .manifest import Gps, Imd, Manifest
 from .mounting import mounting_matrix, turned
-from .raw import Floats, Ints, Raw, RawError, RawGnss, RawImu
+from .raw import Floats, Raw, RawError, RawGnss, RawImu
 from .streams import Warn
+
+STRANGE = 30.0  # s: no latency lasts so long, so a time that is further from its arrival is wrong
 
 
 def utc_map(
@@ -31,35 +36,65 @@ def utc_map(
     for name, sensor in receivers.items():
         raw = raws[name]
         if isinstance(raw, RawGnss) and raw.host_ns is not None:
-            return _from_arrivals(name, sensor, raw, raw.host_ns, base)
+            return _from_arrivals(name, sensor, raw, base)
     name, sensor = next(iter(receivers.items()))
     return _from_motion(run, name, sensor, raws, timed, base)
 
 
-def _from_arrivals(
-    name: str, sensor: Gps, raw: RawGnss, host_ns: Ints, base: int
-) -> tuple[HostToUtc, list[Warn], dict[str, Any]]:
-    host, utc = np.asarray((host_ns - base) * 1.0e-9), raw.utc - base * 1.0e-9
-    steady, jumps = clocks.steady_host(host, utc, sensor.rate)
-    found = clocks.host_to_utc(steady, utc, sensor.latency)
+def steady_epochs(name: str, sensor: Gps, raw: RawGnss, base: int) -> tuple[RawGnss, list[Warn]]:
+    """A receiver's epochs with jumps of the logger's clock taken out of their arrival.
+
+    Epochs whose time is not that of their arrival are left out: a receiver without a fix may send any time, and
+    a sound checksum does not make a time right.
+
+    Raises RawError : no epoch has a position.
+    """
+    if raw.host_ns is None:
+        return raw, []
+    order = np.argsort(raw.rows, kind="stable")  # as they arrived
+    host = np.asarray((raw.host_ns[order] - base) * 1.0e-9)
+    offset = host - (raw.utc[order] - base * 1.0e-9)
+    placed = np.isfinite(raw.values["lat"][order])
+    if not placed.any():
+        raise RawError(f"{sensor.file}: no epoch has a position")
+    telling = np.flatnonzero(placed)
+    telling = telling[np.abs(offset[telling] - median_filter(offset[telling], 9, mode="nearest")) < STRANGE]
+    _, jumps = clocks.steady_host(host[telling], (host - offset)[telling], sensor.rate)
+    steady = clocks.without_jumps(host, [(int(telling[row]), size) for row, size in jumps])
+    usual = float(np.median((steady - host + offset)[telling]))
+    agree = np.abs(steady - host + offset - usual) < STRANGE
     file = str(sensor.file)
+    lines = raw.rows[order]
     warnings = [
-        Warn(f"the logger's clock jumped by {size:.3f} s", "taken out", name, file, int(raw.rows[row]))
+        Warn(f"the logger's clock jumped by {size:.3f} s", "taken out", name, file, int(lines[telling[row]]))
         for row, size in jumps
     ]
-    middle = np.array([steady.mean()])
-    return (
-        found,
-        warnings,
-        {
-            "source": f"arrival of {name}'s sentences",
-            "host_minus_utc_s": float(found.line(middle)[0]) - found.latency,
-            "host_minus_utc_sd_s": sensor.latency_sd,
-            "host_drift_ppm": 1.0e6 * found.line.slope,
-            "assumed_gnss_latency_s": sensor.latency,
-            "assumed_imu_least_latency_s": clocks.IMU_LEAST_LATENCY,
-        },
-    )
+    if not agree.all():
+        what = f"{rows_of(int(np.count_nonzero(~agree)), 'epoch')} whose time is not that of their arrival"
+        warnings.append(Warn(what, "dropped", name, file, int(lines[np.argmin(agree)])))
+    kept = np.sort(order[agree])
+    stamps = np.empty(order.size, dtype=np.int64)
+    stamps[order] = np.rint(steady * 1.0e9).astype(np.int64) + base
+    values = {key: value[kept] for key, value in raw.values.items()}
+    return replace(raw, utc=raw.utc[kept], host_ns=stamps[kept], rows=raw.rows[kept], values=values), warnings
+
+
+def _from_arrivals(
+    name: str, sensor: Gps, raw: RawGnss, base: int
+) -> tuple[HostToUtc, list[Warn], dict[str, Any]]:
+    assert raw.host_ns is not None
+    placed = np.isfinite(raw.values["lat"])
+    host = np.asarray((raw.host_ns[placed] - base) * 1.0e-9)
+    found = clocks.host_to_utc(host, raw.utc[placed] - base * 1.0e-9, sensor.latency)
+    facts = {
+        "source": f"arrival of {name}'s sentences",
+        "host_minus_utc_s": float(found.line(np.array([host.mean()]))[0]) - found.latency,
+        "host_minus_utc_sd_s": sensor.latency_sd,
+        "host_drift_ppm": 1.0e6 * found.line.slope,
+        "assumed_gnss_latency_s": sensor.latency,
+        "assumed_imu_least_latency_s": clocks.IMU_LEAST_LATENCY,
+    }
+    return found, [], facts
 
 
 def _from_motion(

@@ -279,8 +279,7 @@ def _utc(
     """
     timed = np.flatnonzero(np.isin(sentences.kind, TIMED))
     time_of_day = fields.time_of_day[timed]
-    change = np.diff(time_of_day, prepend=time_of_day[0])
-    days = np.cumsum((change < -HALF_DAY).astype(np.int64) - (change > HALF_DAY))
+    days = _midnights(time_of_day, np.isfinite(fields.values["lat"][timed]))
     first_day, warnings = _first_day(fields.day[timed] - days, date, file, name)
     leap = time_of_day >= DAY
     since_leap = np.maximum.accumulate(leap) & ~leap & (days > days[np.argmax(leap)])
@@ -292,6 +291,21 @@ def _utc(
     untimed = np.flatnonzero(np.isnan(utc))
     utc[untimed] = utc[timed[_nearest_timed(sentences, timed, untimed)]]
     return utc, warnings
+
+
+def _midnights(time_of_day: Floats, fixed: Bools) -> Ints:
+    """How many midnights went before each sentence.
+
+    A receiver without a fix may send any time, so only sentences with a position tell; others follow them.
+    """
+    telling = np.flatnonzero(fixed)
+    if telling.size == 0:
+        telling = np.arange(time_of_day.size)
+    told = time_of_day[telling]
+    change = np.diff(told, prepend=told[0])
+    days = np.cumsum((change < -HALF_DAY).astype(np.int64) - (change > HALF_DAY))
+    before = np.searchsorted(telling, np.arange(time_of_day.size), side="right") - 1
+    return np.asarray(days[np.maximum(before, 0)], dtype=np.int64)
 
 
 def _first_day(stated: Floats, date: dt.date, file: str, name: str) -> tuple[float, list[Warn]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from raw_samples import START, Plan, gps_lines, imu_lines, write_pass, yaw_rate
+from raw_samples import START, Plan, checked, gps_lines, imu_lines, write_pass, yaw_rate
 from smts_validate.sensors.ingest import IngestError, read_pass
 from smts_validate.sensors.manifest import ManifestError
 from smts_validate.sensors.streams import FieldLog, GnssStream, ImuStream, SteerStream, WheelStream
@@ -186,3 +186,47 @@ def test_the_example_is_read_whole() -> None:
     start = [stream.t[0] for stream in log.streams.values()]
     assert np.ptp(start) < 0.5
     assert log.health["imd1"]["lost"] == 4
+
+
+def test_a_receiver_that_had_no_time_at_first_does_not_mislead_the_clocks(tmp_path: Path) -> None:
+    plan = Plan(gnss_latency=0.1)
+    folder = write_pass(tmp_path / "pass", plan)
+    lines = gps_lines(plan)
+    first = int(lines[0].split()[0])
+    clocks = [f"2359{40 + k // 10:02d}.{k % 10}0" for k in range(20)]
+    stamps = [first - (20 - k) * 100_000_000 for k in range(20)]
+    bodies = [checked(f"GNGGA,{clock},,,,,0,00,99.9,,M,,M,,") for clock in clocks]
+    cold = [f"{stamp} {body}" for stamp, body in zip(stamps, bodies, strict=True)]
+    (folder / "gps.nmea").write_text("\n".join([*cold, *lines]) + "\n")
+    log = read_pass(folder)
+    assert log.streams["gps"].t[0] == START
+    assert log.streams["gps"].t.size == 600
+    assert rate_error(log, 0.0) < 0.004
+    dropped = [w for w in log.warnings if "not that of their arrival" in w.what]
+    assert [(w.row, w.what.split()[0]) for w in dropped] == [(1, "20")]
+
+
+def test_a_sound_sentence_with_a_wrong_time_is_dropped(tmp_path: Path) -> None:
+    plan = Plan(gnss_latency=0.1)
+    folder = write_pass(tmp_path / "pass", plan)
+    lines = gps_lines(plan)
+    for at, clock in ((300, "093000.00"), (600, "113000.00")):
+        stamp, text = lines[at].split()
+        body = text[1:-3].split(",")
+        lines[at] = f"{stamp} {checked(','.join([body[0], clock, *body[2:]]))}"
+    (folder / "gps.nmea").write_text("\n".join(lines) + "\n")
+    log = read_pass(folder)
+    assert rate_error(log, 0.0) < 0.004
+    assert any("2 epochs whose time" in w.what and w.row == 301 for w in log.warnings)
+    assert log.streams["gps"].t.size == 600  # the epochs' other sentences remain
+
+
+def test_two_receivers_keep_their_own_times_on_one_host(tmp_path: Path) -> None:
+    rest = '[sensors.gps2]\nkind = "gps"\nfile = "gps2.nmea"\nposition = [0.0, 1.0, 2.0]\nrate = 10.0\n'
+    second = "\n".join(gps_lines(Plan(gnss_latency=0.2, seed=9))) + "\n"
+    log = read_pass(
+        write_pass(tmp_path / "pass", Plan(gnss_latency=0.1, rest=rest, extra={"gps2.nmea": second}))
+    )
+    later = log.streams["gps2"].t_arrival - log.streams["gps"].t_arrival
+    assert np.array_equal(log.streams["gps"].t, log.streams["gps2"].t)
+    assert later.mean() == pytest.approx(0.1, abs=0.01)
