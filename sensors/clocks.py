@@ -13,7 +13,22 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter1d
+from scipy.ndimage import median_filter, minimum_filter1d
+
+from .clock_line import DEVICE_DRIFT_SD, ClockLine, lower_hull, one_sided_line
+
+__all__ = [
+    "ClockError",
+    "ClockLine",
+    "HostToUtc",
+    "SampleTimes",
+    "host_to_utc",
+    "lower_hull",
+    "one_sided_line",
+    "sample_times",
+    "steady_host",
+    "without_jumps",
+]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -21,7 +36,6 @@ Bools = NDArray[np.bool_]
 
 COUNTER_SPAN = 2**32
 SEQ_SPAN = 2**16
-DEVICE_DRIFT_SD = 2.0e-4  # rates of IMU crystals against the host
 HOST_DRIFT_SD = 2.0e-5  # rate of a computer's clock against UTC
 IMU_LEAST_LATENCY = (
     1.0e-3  # s: the smallest credible delay from sampling to arrival; it cannot be seen in the clocks
@@ -29,12 +43,13 @@ IMU_LEAST_LATENCY = (
 STEP_WINDOW = 15.0  # s: a latency burst ends sooner, a reset or a clock jump lasts
 DEVICE_STEP = 0.1  # s: smaller changes of offset are latency
 GNSS_STEP = 0.25  # s
-CORRELATED_LATENCIES = 10.0  # so many neighbouring latencies tell as much as one independent one
-MAX_HULL_INPUT = 4096
 NEIGHBOURS = 1.0  # s: a counter that advances less than this between rows has not been reset
 RESET_STEP = 0.25  # s: by which a counter's advance differs from the host's when it was reset
 HUGE_STEP = 600.0  # s: no latency lasts so long
 MIN_SEGMENT = 5  # samples: fewer between two resets are a corrupt counter
+WANDER_WINDOW = 60.0  # s: short against the warming of an oscillator, long against bursts of latency
+WANDER_LEAST = 1.0e-3  # s
+LEAST_WINDOWS = 5
 STRAY_SHARE = 0.01  # of the rows may stand out of order where only the host's time tells
 STRAY_LIMIT = 1.0  # s, by which they may be late
 SURE_GAP = 2.5  # nominal periods: a longer gap is a lost sample, without a counter
@@ -48,22 +63,6 @@ class ClockError(ValueError):
     def __init__(self, text: str, row: int | None = None) -> None:
         super().__init__(text)
         self.row = row
-
-
-@dataclass(frozen=True)
-class ClockLine:
-    """y = level + slope·(x - origin): a line below all points of a one-sided scatter.
-
-    spread is the mean height of the points above it (s).
-    """
-
-    origin: float
-    level: float
-    slope: float
-    spread: float
-
-    def __call__(self, x: Floats) -> Floats:
-        return self.level + self.slope * (x - self.origin)
 
 
 @dataclass(frozen=True)
@@ -99,90 +98,6 @@ def unwrap(counter: Ints, span: int, elapsed: Floats) -> Ints:
     """
     advance = counter - counter[0]
     return np.asarray(counter + span * np.rint((elapsed - advance) / span).astype(np.int64), dtype=np.int64)
-
-
-def lower_hull(x: Floats, y: Floats) -> Ints:
-    """Indices of the lower convex hull's vertices, left to right; x increasing (Andrew's monotone chain)."""
-    hull: list[int] = []
-    xs, ys = x.tolist(), y.tolist()
-    for i in range(len(xs)):
-        while len(hull) >= 2:
-            a, b = hull[-2], hull[-1]
-            if (xs[b] - xs[a]) * (ys[i] - ys[a]) - (ys[b] - ys[a]) * (xs[i] - xs[a]) > 0.0:
-                break
-            hull.pop()
-        hull.append(i)
-    return np.array(hull, dtype=np.int64)
-
-
-def _thinned(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """At most MAX_HULL_INPUT points that can touch a line from above: the lowest of each block of x."""
-    order = np.argsort(x, kind="stable")
-    x, y = x[order], y[order]
-    if x.size <= MAX_HULL_INPUT:
-        return x, y
-    starts = np.linspace(0, x.size, MAX_HULL_INPUT // 2, endpoint=False).astype(np.int64)
-    trend = _coarse_slope(x, y, starts)
-    height = y - trend * x
-    lowest = np.minimum.reduceat(height, starts)
-    block = np.repeat(np.arange(starts.size), np.diff(np.append(starts, x.size)))
-    first = np.flatnonzero(height == lowest[block])
-    return x[first], y[first]
-
-
-def _coarse_slope(x: Floats, y: Floats, starts: Ints) -> float:
-    """Slope between the lowest points of the first and the last quarter of the blocks' minima."""
-    low, at = np.minimum.reduceat(y, starts), x[starts]
-    slope = np.polyfit(at - at.mean(), low, 1)[0] if at[-1] > at[0] else 0.0
-    return float(slope)
-
-
-def one_sided_line(x: Floats, y: Floats, slope: float = 0.0, slope_sd: float = DEVICE_DRIFT_SD) -> ClockLine:
-    """The most probable line below points whose height above it is a never-negative latency.
-
-    With exponential latencies of mean m the likelihood of a line under all points is exp(-Σ height / m), and
-    for a given slope b the level is min(y - b·x); a normal prior on the slope keeps short scatters sane:
-    minimise -N·min(y - b·(x - x̄))/m + (b - slope)²/(2·slope_sd²), convex in b. Only the lower hull matters.
-
-    Parameters
-    ----------
-    x, y : (N,) s, N ≥ 1; y measured on the clock whose stamps are late
-    slope, slope_sd : prior of the slope, 1
-    """
-    centre = float(x.mean())
-    px, py = _thinned(x - centre, y)
-    vertices = lower_hull(px, py)
-    hx, hy = px[vertices], py[vertices]
-    mean = float(y.mean())
-    spread = max(mean - float((hy - slope * hx).min()), 1.0e-6)
-    for _ in range(3):
-        weight = x.size / CORRELATED_LATENCIES / spread
-        best = _most_probable_slope(hx, hy, weight, slope, slope_sd)
-        level = float((hy - best * hx).min())
-        spread = max(mean - level, 1.0e-6)
-    return ClockLine(centre, level, best, spread)
-
-
-def _most_probable_slope(hx: Floats, hy: Floats, weight: float, slope: float, slope_sd: float) -> float:
-    """Golden-section search of the convex cost over ± 10 prior standard deviations."""
-    ratio = (5.0**0.5 - 1.0) / 2.0
-
-    def cost(b: float) -> float:
-        return -weight * float((hy - b * hx).min()) + 0.5 * ((b - slope) / slope_sd) ** 2
-
-    low, high = slope - 10.0 * slope_sd, slope + 10.0 * slope_sd
-    a, b = high - ratio * (high - low), low + ratio * (high - low)
-    cost_a, cost_b = cost(a), cost(b)
-    while high - low > 1.0e-10:
-        if cost_a < cost_b:
-            high, b, cost_b = b, a, cost_a
-            a = high - ratio * (high - low)
-            cost_a = cost(a)
-        else:
-            low, a, cost_a = a, b, cost_b
-            b = low + ratio * (high - low)
-            cost_b = cost(b)
-    return 0.5 * (low + high)
 
 
 def find_steps(offset: Floats, window: int, threshold: float) -> list[tuple[int, float]]:
@@ -335,7 +250,7 @@ def _fitted(
         line = line or _device_line(device, host[part])
         lost += _lost(device[kept], None if seq is None else seq[part][kept], rate)
         index.append(kept + part.start)
-        t.append(device[kept] + line(device[kept]))
+        t.append((device + line(device) + _wander(device, host[part], line))[kept])
     rows, times = np.concatenate(index), np.concatenate(t)
     rising = times > np.maximum.accumulate(np.concatenate([[-np.inf], times[:-1]]))
     resets = np.array([part.start for part in segments[1:]], dtype=np.int64)
@@ -357,6 +272,27 @@ def _device_line(
     device: Floats, host: Floats, slope: float = 0.0, slope_sd: float = DEVICE_DRIFT_SD
 ) -> ClockLine:
     return one_sided_line(device, host - device, slope, slope_sd)
+
+
+def _wander(device: Floats, host: Floats, line: ClockLine) -> Floats:
+    """What a rate that changes (an oscillator that warms up) adds to the line, (N,) s; zero for a steady one.
+
+    In windows of WANDER_WINDOW the quickest sample touches the true relation of the clocks. Where these touch the
+    line within WANDER_LEAST everywhere it stands; else the way between them is followed. A single window in which
+    all samples were late is no wander.
+    """
+    none = np.zeros(device.size)
+    windows = int(np.ptp(device) // WANDER_WINDOW)
+    if windows < LEAST_WINDOWS:
+        return none
+    height = host - device - line(device)
+    window = np.minimum(((device - device.min()) // WANDER_WINDOW).astype(np.int64), windows - 1)
+    order = np.lexsort((height, window))
+    lowest = order[np.unique(window[order], return_index=True)[1]]
+    above = median_filter(height[lowest], 3, mode="nearest")
+    if above.max() < WANDER_LEAST:
+        return none
+    return np.asarray(np.interp(device, device[lowest], above))
 
 
 def _lost(t: Floats, seq: Ints | None, rate: float) -> int:

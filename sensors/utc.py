@@ -44,8 +44,8 @@ def utc_map(
 def steady_epochs(name: str, sensor: Gps, raw: RawGnss, base: int) -> tuple[RawGnss, list[Warn]]:
     """A receiver's epochs with jumps of the logger's clock taken out of their arrival.
 
-    Epochs whose time is not that of their arrival are left out: a receiver without a fix may send any time, and
-    a sound checksum does not make a time right.
+    Epochs whose time is not that of their arrival are left out: a receiver without a fix may send any time,
+    and a sound checksum does not make a time right.
 
     Raises RawError : no epoch has a position.
     """

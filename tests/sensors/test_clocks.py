@@ -116,6 +116,24 @@ def test_a_jump_of_the_loggers_clock_is_taken_out(size: float) -> None:
     assert np.abs(error).max() < 2.0e-3
 
 
+def test_a_rate_that_warms_up_is_followed() -> None:
+    rng = np.random.default_rng(20)
+    true = np.arange(0.0, 1800.0, 0.01)
+    rate = 1.0 + 150e-6 * (1.0 - np.exp(-true / 300.0))
+    counter = np.rint(np.cumsum(rate * 0.01) * 1e6).astype(np.int64) % 2**32
+    host = true + LEAST + np.minimum(rng.gamma(1.2, 3.0e-3, true.size), 19.0e-3)
+    times = clocks.sample_times(host, counter, None, RATE)
+    error = times.t - (true[times.index] + LEAST)
+    assert np.abs(error).max() < 5.0e-4
+
+
+def test_a_minute_in_which_the_logger_was_busy_is_no_wander() -> None:
+    unit = a_unit(seed=21, seconds=900.0, drift=20e-6)
+    unit.host[30_000:35_900] += 0.008
+    _, error = error_of(unit)
+    assert np.abs(error).max() < 3.0e-4
+
+
 def test_a_stalled_logger_shifts_nothing() -> None:
     unit = a_unit(seed=8)
     stalled = slice(2000, 2400)
