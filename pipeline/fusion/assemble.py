@@ -27,7 +27,8 @@ from .steering import best_steering
 Floats = NDArray[np.float64]
 
 LONG = 60_000  # nodes: longer passes get half the draws
-CRAB = 0.1  # constant crab, unseen, as a share of the slip angle's standard deviation: side forces average out along a row
+# Constant crab, unseen, as a share of the slip angle's standard deviation: side forces average out along a row.
+CRAB = 0.1
 OUTAGE = 2.0  # s without an accepted position that is worth a warning
 
 
@@ -46,7 +47,9 @@ def assemble(
     seeder = output.seeder_motion(at, p, CRAB * levels.beta2, lateral2) if known.two is not None else None
     draw_t, draws = _draws(known, options, task, filtered, smooth, lag)
     given = choose_steer_input(known.log, t + lag, wheels)
-    steer, sd_steer = best_steering(t, tractor, given, known.log.manifest.machine.tractor.front_axle, levels.beta1)
+    steer, sd_steer = best_steering(
+        t, tractor, given, known.log.manifest.machine.tractor.front_axle, levels.beta1
+    )
     consistency = assess(task.measurements, filtered)
     gnss_t = accepted_times(task, filtered)
     return Motion(
@@ -60,7 +63,7 @@ def assemble(
 
 
 def lateral_accelerations(known: Known, x: Floats) -> tuple[Floats, Floats]:
-    """Lateral acceleration (N,), m/s², of both CoMs: the units' force levelled and moved there; zeros without a body."""
+    """Lateral acceleration (N,), m/s², of both CoMs: the units' force levelled and moved there; zeros if absent."""
     one = _levelled_lateral(known.one.node_force, x[:, s.ROLL], x[:, s.BAY])
     one = one + known.log.manifest.machine.tractor.rear_axle * _slope(known.nodes[:, s.U_WZ])
     if known.two is None or known.log.manifest.machine.seeder is None:
@@ -129,35 +132,72 @@ def noise_table(known: Known, levels: Levels, free: tuple[str, ...], p: Floats) 
                 "value": float(np.median(e.sd)), "unit": "m",
                 "source": "receiver (GST)" if e.stated else "assumed by fix quality",
             },
-            "slow_part": {"value": float(p[s.P_SD_E if e.first else s.P_SD_G]), "unit": "m", "source": "what is not white"},
+            "slow_part": {"value": float(p[s.P_SD_E if e.first else s.P_SD_G]), "unit": "m", "source": "not white"},
         }  # fmt: skip
     table["levels"] = {
         name: {"value": float(getattr(levels, name)), "source": "innovations" if name in free else "assumed"}
-        for name in ("beta1", "beta2", "white_fixed", "white_float", "velocity", "lateral", "hitch", "forward", "wheel")
+        for name in (
+            "beta1",
+            "beta2",
+            "white_fixed",
+            "white_float",
+            "velocity",
+            "lateral",
+            "hitch",
+            "forward",
+            "wheel",
+        )
     }
     return table
 
 
 def warnings_of(
-    known: Known, gnss_t: Floats, t: Floats, consistency: tuple[Any, ...], jumps: int, wheels: Mapping[str, WheelMotion]
+    known: Known,
+    gnss_t: Floats,
+    t: Floats,
+    consistency: tuple[Any, ...],
+    jumps: int,
+    wheels: Mapping[str, WheelMotion],
 ) -> tuple[Warn, ...]:
     """What a reader must know of this pass's fusion."""
     out: list[Warn] = [w for wheel in wheels.values() for w in wheel.warnings]
     main = known.epochs[0]
     if not main.stated:
-        out.append(Warn("the receiver states no accuracy (GST)", "assumed by fix quality and HDOP", main.name))
+        out.append(
+            Warn("the receiver states no accuracy (GST)", "assumed by fix quality and HDOP", main.name)
+        )
     loose = float((~main.fixed).mean())
     if loose > 0.01:
-        out.append(Warn(f"{100 * loose:.0f} % of the positions are not RTK fixed", "weighted by their own doubt", main.name))
+        out.append(
+            Warn(
+                f"{100 * loose:.0f} % of the positions are not RTK fixed",
+                "weighted by their own doubt",
+                main.name,
+            )
+        )
     edges = np.concatenate([[t[0]], gnss_t, [t[-1]]])
     longest = float(np.diff(edges).max())
     if longest > OUTAGE:
-        out.append(Warn(f"{longest:.1f} s without a position", "bridged by gyros and wheels, with growing doubt", main.name))
+        out.append(
+            Warn(
+                f"{longest:.1f} s without a position",
+                "bridged by gyros and wheels, with growing doubt",
+                main.name,
+            )
+        )
     if jumps:
-        out.append(Warn(f"fixed positions jumped {jumps} times", "taken as new slow errors of the receiver", main.name))
+        out.append(
+            Warn(
+                f"fixed positions jumped {jumps} times", "taken as new slow errors of the receiver", main.name
+            )
+        )
     if known.bias is None:
         out.append(Warn("no rest in the pass", "gyro biases rest on course over ground alone"))
     bad = [c.channel for c in consistency if not c.consistent]
     if bad:
-        out.append(Warn("innovations are not what the filter states: " + ", ".join(bad), "the verdict's guard widens"))
+        out.append(
+            Warn(
+                "innovations are not what the filter states: " + ", ".join(bad), "the verdict's guard widens"
+            )
+        )
     return tuple(out)

@@ -38,7 +38,9 @@ def assess(q: Measurements, f: Filtered) -> tuple[SensorConsistency, ...]:
     return tuple(out)
 
 
-def _channel(channel: str, dof: int, a: NDArray[np.int64], b: NDArray[np.int64], f: Filtered) -> SensorConsistency:
+def _channel(
+    channel: str, dof: int, a: NDArray[np.int64], b: NDArray[np.int64], f: Filtered
+) -> SensorConsistency:
     used = f.used[a]
     normal = f.nu[a] / np.sqrt(f.S[a])
     nis = normal**2 + (f.nu[b] ** 2 / f.S[b] if dof == 2 else 0.0)
@@ -48,7 +50,9 @@ def _channel(channel: str, dof: int, a: NDArray[np.int64], b: NDArray[np.int64],
     independent = min(good.size * (1.0 - rho**2) / (1.0 + rho**2), MOST)
     freedom = max(independent, 1.0) * dof
     tail = 0.5 * (1.0 - LEVEL)
-    low, high = (float(2.0 * gammaincinv(freedom / 2.0, level) / freedom * dof) for level in (tail, 1.0 - tail))
+    low, high = (
+        float(2.0 * gammaincinv(freedom / 2.0, level) / freedom * dof) for level in (tail, 1.0 - tail)
+    )
     low = min(low, CAUTION * dof)
     mean = float(good.mean()) if good.size else float("nan")
     fine = low <= mean <= high and abs(rho) < MOST_CORRELATED and (~used).mean() <= MOST_REFUSED

@@ -49,12 +49,12 @@ def _adjoint_step(F, lam, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _add_noise(row, variance):  # type: ignore[no-untyped-def]
+def _add_noise(row, variance, rng):  # type: ignore[no-untyped-def]
     """Independent normal noise of one variance added to a row, in place."""
     if variance > 0.0:
         sd = np.sqrt(variance)
         for c in range(row.size):
-            row[c] += sd * np.random.normal()
+            row[c] += sd * rng.standard_normal()
 
 
 @njit(cache=True, error_model="numpy")
@@ -75,9 +75,8 @@ def _add_product(P, lam, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _simulate(P0, u, dt, starts, var, inject, p, lin, H, K, used, seed, gap, error, nu):  # type: ignore[no-untyped-def]
+def _simulate(P0, u, dt, starts, var, inject, p, lin, H, K, used, rng, gap, error, nu):  # type: ignore[no-untyped-def]
     """Forward: simulated error less its filter estimate at nodes (every EVERY-th kept), innovations of all draws."""
-    np.random.seed(seed)
     draws = nu.shape[1]
     d, ahead = np.empty((SIZE, draws)), np.empty((SIZE, draws))
     F, q = np.eye(SIZE), np.empty(SIZE)
@@ -98,11 +97,11 @@ def _simulate(P0, u, dt, starts, var, inject, p, lin, H, K, used, seed, gap, err
             _step(F, d, ahead)
             d, ahead = ahead, d
         for i in range(SIZE):
-            _add_noise(d[i], q[i])
+            _add_noise(d[i], q[i], rng)
         for m in range(starts[k], starts[k + 1]):
             if not used[m]:
                 continue
-            _add_noise(nu[m], var[m])
+            _add_noise(nu[m], var[m], rng)
             for i in range(SIZE):
                 if H[m, i] != 0.0:
                     for c in range(draws):
@@ -142,7 +141,9 @@ def _smooth(u, dt, starts, p, lin, packed, H, K, S, used, gap, error, nu):  # ty
                         lam[i, c] -= H[m, i] * v
 
 
-def posterior_errors(problem: Problem, f: Filtered, lin: Floats, draws: int, seed: int) -> tuple[Floats, Floats]:
+def posterior_errors(
+    problem: Problem, f: Filtered, lin: Floats, draws: int, seed: int
+) -> tuple[Floats, Floats]:
     """Instants (M,) and draws (M, SIZE, K) of the smoother's error, estimate minus truth, at every 0.1 s."""
     n = problem.t.size
     q = problem.measurements
@@ -151,9 +152,21 @@ def posterior_errors(problem: Problem, f: Filtered, lin: Floats, draws: int, see
     nu = np.zeros((q.kind.size, draws))
     _simulate(
         problem.P0, problem.step_inputs, STEP, starts, q.var, problem.inject, problem.parameters, lin, f.H, f.K,
-        f.used, seed, EVERY, error, nu,
+        f.used, np.random.default_rng(seed), EVERY, error, nu,
     )  # fmt: skip
     _smooth(
-        problem.step_inputs, STEP, starts, problem.parameters, lin, f.P, f.H, f.K, f.S, f.used, EVERY, error, nu
+        problem.step_inputs,
+        STEP,
+        starts,
+        problem.parameters,
+        lin,
+        f.P,
+        f.H,
+        f.K,
+        f.S,
+        f.used,
+        EVERY,
+        error,
+        nu,
     )
     return problem.t[::EVERY], -error

@@ -81,7 +81,9 @@ def _update(
     return rows[-1] + 1, float(gained)
 
 
-def _record(out: Filtered, rows: list[int], H: Floats, P: Floats, var: Floats, nu: Floats, passes: bool) -> None:
+def _record(
+    out: Filtered, rows: list[int], H: Floats, P: Floats, var: Floats, nu: Floats, passes: bool
+) -> None:
     """Gains and innovations of the equal sequence of scalar updates, for the draws and the statistics."""
     P, shift = P.copy(), np.zeros(SIZE)
     for i, r in enumerate(rows):

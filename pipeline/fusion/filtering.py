@@ -120,10 +120,10 @@ def distance(P, H, nu, var, m, count):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def is_pair(kind):  # type: ignore[no-untyped-def]
     """Whether this kind is the first of an east-north pair."""
+    found = False
     for e in range(PAIRS.size):
-        if PAIRS[e] == kind:
-            return True
-    return False
+        found = found or PAIRS[e] == kind
+    return found
 
 
 @njit(cache=True, error_model="numpy")
@@ -195,7 +195,30 @@ def unpack(row, P):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def forward(x0, P0, u, nodes, dt, kinds, starts, z, var, ahead, inject, p, lin, linear, out_x, out_P, H, K, S, nu, used, store):  # type: ignore[no-untyped-def]
+def forward(
+    x0,
+    P0,
+    u,
+    nodes,
+    dt,
+    kinds,
+    starts,
+    z,
+    var,
+    ahead,
+    inject,
+    p,
+    lin,
+    linear,
+    out_x,
+    out_P,
+    H,
+    K,
+    S,
+    nu,
+    used,
+    store,
+):  # type: ignore[no-untyped-def]
     """Filter all nodes; returns the log-likelihood. With `linear` everything is linearised at `lin` (N, SIZE)."""
     x, P = x0.copy(), P0.copy()
     F = np.eye(SIZE)

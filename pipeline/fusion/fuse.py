@@ -26,7 +26,7 @@ TUNED = 9_000  # nodes of motion that the levels are tuned on
 REFUSED_RUN = 4.0  # s of refused fixed positions after which the receiver, not the filter, sets the place
 
 
-def fuse(log: FieldLog, options: FusionSettings = FusionSettings()) -> Motion:  # noqa: B008
+def fuse(log: FieldLog, options: FusionSettings = FusionSettings()) -> Motion:
     """Both bodies' motion of one pass, smoothed, on a 1/50 s UTC grid, with its uncertainty.
 
     Extended Kalman filter and smoother over one joint state (see `state`), relinearised about its own smoothed

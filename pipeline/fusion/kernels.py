@@ -72,7 +72,6 @@ from .state import (
     SCALE1,
     SCALE2,
     SECOND_X,
-    SIZE,
     SLIP1,
     SLIP2,
     STILL_AX,
@@ -112,6 +111,21 @@ GATE_1 = 15.14  # χ² with 1 degree of freedom at 1e-4
 
 
 @njit(cache=True, error_model="numpy")
+def fade(x, dt, p, F, out):  # type: ignore[no-untyped-def]
+    """Gauss-Markov components after one step, into `out`, and their factors, on the diagonal of F."""
+    slip, bend, slow = math.exp(-dt / p[P_TAU_SLIP]), math.exp(-dt / TAU_TURN), math.exp(-dt / p[P_TAU_E])
+    for i in (SLIP1, SLIP2):
+        F[i, i] = slip
+        out[i] = slip * x[i]
+    for i in (TURN1, TURN2):
+        F[i, i] = bend
+        out[i] = bend * x[i]
+    for i in (EX, EY, FX, FY, GX, GY):
+        F[i, i] = slow
+        out[i] = slow * x[i]
+
+
+@njit(cache=True, error_model="numpy")
 def transition(x, u, dt, p, F):  # type: ignore[no-untyped-def]
     """State after one step and its Jacobian, written into F (which holds the identity outside its pattern).
 
@@ -143,12 +157,7 @@ def transition(x, u, dt, p, F):  # type: ignore[no-untyped-def]
     out[X] = x[X] + (speed * cy - across * sy) * dt
     out[Y] = x[Y] + (speed * sy + across * cy) * dt
     out[YAW2] = x[YAW2] + turn2 * h
-    slip = math.exp(-dt / p[P_TAU_SLIP])
-    slow = math.exp(-dt / p[P_TAU_E])
-    bend = math.exp(-dt / TAU_TURN)
-    for i, keep in ((SLIP1, slip), (SLIP2, slip), (EX, slow), (EY, slow), (FX, slow), (FY, slow), (GX, slow), (GY, slow), (TURN1, bend), (TURN2, bend)):
-        out[i] = keep * x[i]
-        F[i, i] = keep
+    fade(x, dt, p, F, out)
     F[X, YAW1], F[Y, YAW1] = -(out[Y] - x[Y]), out[X] - x[X]
     F[X, V], F[X, SLIP1] = cy * dt, -sy * dt
     F[Y, V], F[Y, SLIP1] = sy * dt, cy * dt
@@ -289,7 +298,11 @@ def predict_second(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
     w1 = (node[U_WZ] - x[BGZ]) * (1.0 - x[SCALE1])
     w2 = (node[U_W2] - x[BGZ2]) * (1.0 - x[SCALE2])
     fwd, left, _, _, _ = antenna_offset(
-        p[P_TILT] * node[N_ROLL2], p[P_TILT] * node[N_PITCH2], p[P_ANT2_X], p[P_ANT2_Y], p[P_ANT2_Z] + p[P_SWAY2]
+        p[P_TILT] * node[N_ROLL2],
+        p[P_TILT] * node[N_PITCH2],
+        p[P_ANT2_X],
+        p[P_ANT2_Y],
+        p[P_ANT2_Z] + p[P_SWAY2],
     )
     fwd -= p[P_COM2]
     north = kind > SECOND_X
@@ -345,9 +358,8 @@ def predict_lateral(x, node, H):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def predict(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
     """Expected value of one scalar measurement and its row H (SIZE,)."""
-    if kind <= FLOAT_X + 1 or kind >= THIRD_X:
-        if kind <= THIRD_X + 1:
-            return predict_position(kind, x, node, ahead, p, H)
+    if kind <= FLOAT_X + 1 or THIRD_X <= kind <= THIRD_X + 1:
+        return predict_position(kind, x, node, ahead, p, H)
     if kind == VEL_X or kind == VEL_X + 1:
         return predict_velocity(kind, x, node, p, H)
     if kind == SECOND_X or kind == SECOND_X + 1:

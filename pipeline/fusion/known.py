@@ -62,14 +62,18 @@ def prepare(log: FieldLog, wheels: Mapping[str, WheelMotion]) -> Known:
     """Streams on the grid, rest, first headings. Raises FusionError when there is too little of anything."""
     t = grid(log)
     if t.size < SHORTEST:
-        raise FusionError(f"{log.source or log.manifest.run.id}: inertial samples of the tractor span under 2 s")
+        raise FusionError(
+            f"{log.source or log.manifest.run.id}: inertial samples of the tractor span under 2 s"
+        )
     try:
         origin = problem.origin_of(log)
     except ValueError as error:
         raise FusionError(str(error)) from None
     epochs = tuple(problem.epochs_of(log, origin))
     if not any(e.first and e.t.size >= 10 for e in epochs):
-        raise FusionError("gps: fewer than 10 positions of a receiver on the tractor; check the receiver's log")
+        raise FusionError(
+            "gps: fewer than 10 positions of a receiver on the tractor; check the receiver's log"
+        )
     machine = log.manifest.machine
     point = np.array([-machine.tractor.rear_axle, 0.0, -problem.sway(machine.tractor)])
     speed = initial.ground_speed(t, epochs[0])
@@ -92,7 +96,9 @@ def _mean_spin(t: Floats, wheels: Mapping[str, WheelMotion]) -> Floats | None:
     return np.mean(spins, axis=0) if spins else None
 
 
-def wheel_speed(t: Floats, wheels: Mapping[str, WheelMotion], log: FieldLog, one: BodyInputs) -> WheelSpeed | None:
+def wheel_speed(
+    t: Floats, wheels: Mapping[str, WheelMotion], log: FieldLog, one: BodyInputs
+) -> WheelSpeed | None:
     """Speed of the rear axle's centre by its wheels' spin and stated radius; a side alone is moved by the turn."""
     tractor = log.manifest.machine.tractor
     rear = [w for w in wheels.values() if w.wheel.startswith("rear")]
@@ -152,13 +158,24 @@ def levelled(known: Known, path: Floats) -> Known:
     return replace(again, yaw=(path[:, s.YAW1].copy(), path[:, s.YAW2].copy()))
 
 
-def build(known: Known, options: FusionSettings, levels: Levels, lag: float, inject: Floats | None = None) -> Problem:
+def build(
+    known: Known, options: FusionSettings, levels: Levels, lag: float, inject: Floats | None = None
+) -> Problem:
     """The estimation problem at given levels, its GNSS epochs placed by `lag`."""
     p = problem.parameters_of(known.log.manifest, known.epochs, known.one, known.two)
     p = problem.with_levels(p, levels, known.epochs)
     p[s.P_TILT] = 1.0 if options.tilt_compensation else 0.0
     q = problem.measurements_of(
-        known.t, known.epochs, known.nodes, known.still, known.wheel, levels, p, lag, known.yaw, creeping(known)
+        known.t,
+        known.epochs,
+        known.nodes,
+        known.still,
+        known.wheel,
+        levels,
+        p,
+        lag,
+        known.yaw,
+        creeping(known),
     )
     x0, P0 = problem.starting_state(
         known.log.manifest, p, initial.first_position(known.epochs, known.t[0]),

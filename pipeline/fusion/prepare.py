@@ -69,17 +69,28 @@ def grid(log: FieldLog) -> Floats:
     return np.arange(first, last + 1, dtype=np.float64) * STEP
 
 
-def unit_means(stream: ImuStream, sensor: Imd, t: Floats, still: NDArray[np.bool_] | None = None) -> UnitMeans:
+def unit_means(
+    stream: ImuStream, sensor: Imd, t: Floats, still: NDArray[np.bool_] | None = None
+) -> UnitMeans:
     """Means of one unit on the grid `t` from the running integral of its samples (exact for lost samples)."""
     force, rate = to_body(stream, sensor)
-    edges = np.concatenate([[t[0] - HALF, t[0]], np.column_stack([t[:-1] + HALF, t[1:]]).ravel(), [t[-1] + HALF]])
+    edges = np.concatenate(
+        [[t[0] - HALF, t[0]], np.column_stack([t[:-1] + HALF, t[1:]]).ravel(), [t[-1] + HALF]]
+    )
     sums = np.column_stack([_running_integral(stream.t, v, edges) for v in (*rate.T, *force.T)])
     at_nodes, at_halves = sums[1::2], sums[0::2]
     step = np.diff(at_nodes, axis=0) / STEP
     node = np.diff(at_halves, axis=0) / STEP
     gyro, accel, source = unit_noise(stream, sensor, force, rate, t, still)
     return UnitMeans(
-        step[:, :3], node[:, :3], step[:, 3:], node[:, 3:], _holes(stream.t, sensor.rate, t), gyro, accel, source
+        step[:, :3],
+        node[:, :3],
+        step[:, 3:],
+        node[:, 3:],
+        _holes(stream.t, sensor.rate, t),
+        gyro,
+        accel,
+        source,
     )
 
 
@@ -224,7 +235,9 @@ def tilt(rate: Floats, force: Floats, speed: Floats, still: NDArray[np.bool_]) -
     Zero-phase complementary filter; the turn couples roll and pitch (roll' = p + yaw'·pitch), which a second
     sweep takes in. The motion's own accelerations V' and V·yaw' are removed before levelling.
     """
-    bias = rate[still].mean(axis=0) if still.sum() > STILL_WINDOW else np.array([*rate[:, :2].mean(axis=0), 0.0])
+    bias = (
+        rate[still].mean(axis=0) if still.sum() > STILL_WINDOW else np.array([*rate[:, :2].mean(axis=0), 0.0])
+    )
     w = rate - bias
     b, a = butter(1, TILT_CROSSOVER_HZ, fs=1.0 / STEP)
     pad = min(int(2.0 / TILT_CROSSOVER_HZ / STEP), rate.shape[0] - 2)

@@ -108,7 +108,8 @@ def epochs_of(log: FieldLog, origin: Origin) -> list[Epochs]:
         first = gps.body == "tractor" and not any(e.first for e in out)
         out.append(
             Epochs(
-                name, gps.body, first, g.t[ok], x, y, np.where(np.isfinite(g.alt[ok]), z, np.nan), sd[ok], np.isin(g.quality, FIXED)[ok],
+                name, gps.body, first, g.t[ok], x, y, np.where(np.isfinite(g.alt[ok]), z, np.nan), sd[ok],
+                np.isin(g.quality, FIXED)[ok],
                 np.where(moving, g.speed * np.cos(g.course), np.nan)[ok],
                 np.where(moving, g.speed * np.sin(g.course), np.nan)[ok],
                 g.heading[ok], stated,
@@ -131,7 +132,9 @@ def sway(body: Tractor | Seeder) -> float:
     return 0.0 if body.roll_centre is None else body.cog_height - body.roll_centre
 
 
-def parameters_of(manifest: Manifest, epochs: Sequence[Epochs], one: BodyInputs, two: BodyInputs | None) -> Floats:
+def parameters_of(
+    manifest: Manifest, epochs: Sequence[Epochs], one: BodyInputs, two: BodyInputs | None
+) -> Floats:
     """Parameter vector of the kernels at the starting levels."""
     p = np.zeros(s.P_SIZE)
     tractor, seeder = manifest.machine.tractor, manifest.machine.seeder
@@ -140,7 +143,11 @@ def parameters_of(manifest: Manifest, epochs: Sequence[Epochs], one: BodyInputs,
     p[[s.P_ANT_X, s.P_ANT_Y, s.P_ANT_Z]] = manifest.sensors[main.name].position
     p[s.P_SWAY] = sway(tractor)
     p[s.P_HITCH] = tractor.hitch - tractor.rear_axle
-    p[s.P_TAU_SLIP], p[s.P_COMPLIANCE], p[s.P_TAU_E] = physics.TAU_SLIP, physics.COMPLIANCE_FAST, physics.TAU_GNSS
+    p[s.P_TAU_SLIP], p[s.P_COMPLIANCE], p[s.P_TAU_E] = (
+        physics.TAU_SLIP,
+        physics.COMPLIANCE_FAST,
+        physics.TAU_GNSS,
+    )
     p[s.P_GYRO1], p[s.P_ACCEL] = one.gyro_noise, one.accel_noise
     p[s.P_KAPPA_WALK], p[s.P_KAPPA_DRIVE] = physics.WHEEL_WALK, physics.WHEEL_DRIVE
     p[s.P_TURN] = physics.COMPLIANCE
@@ -175,7 +182,11 @@ def _slow(sd: Floats, white: float) -> float:
 
 
 def inputs_of(
-    one: BodyInputs, yaw_rate2: Floats | None, gap2: Floats | None, still: NDArray[np.bool_], wheel: WheelSpeed | None
+    one: BodyInputs,
+    yaw_rate2: Floats | None,
+    gap2: Floats | None,
+    still: NDArray[np.bool_],
+    wheel: WheelSpeed | None,
 ) -> Floats:
     """Step inputs (N-1, U_SIZE); a step is at rest when both its nodes are."""
     u = np.zeros((one.step_rate.shape[0], s.U_SIZE))
@@ -241,7 +252,13 @@ def _part(kind: int, node: Ints, z: Floats, var: Floats | float, ahead: Floats |
 
 
 def _gnss(
-    t: Floats, e: Epochs, levels: Levels, lag: float, yaw: tuple[Floats, Floats | None], nodes: Floats, p: Floats
+    t: Floats,
+    e: Epochs,
+    levels: Levels,
+    lag: float,
+    yaw: tuple[Floats, Floats | None],
+    nodes: Floats,
+    p: Floats,
 ) -> list[Part]:
     node = np.rint((e.t + lag - t[0]) / STEP).astype(np.int64)
     inside = (node >= 0) & (node < t.size)
@@ -254,11 +271,17 @@ def _gnss(
             (s.FIXED_X, fixed, levels.white_fixed), (s.FLOAT_X, ~fixed, levels.white_float)
         ):  # fmt: skip
             var = (share * sd[use]) ** 2
-            parts += [_part(kind, node[use], x[use], var, ahead[use]), _part(kind + 1, node[use], y[use], var, ahead[use])]
+            parts += [
+                _part(kind, node[use], x[use], var, ahead[use]),
+                _part(kind + 1, node[use], y[use], var, ahead[use]),
+            ]
         ok = np.isfinite(vx) & np.isfinite(vy)
         dvx, dvy = _swing(node[ok], (ahead[ok] + lag) / STEP, nodes, yaw[0], p)
         vx[ok], vy[ok] = vx[ok] - dvx, vy[ok] - dvy
-        parts += [_part(s.VEL_X, node[ok], vx[ok], levels.velocity**2), _part(s.VEL_Y, node[ok], vy[ok], levels.velocity**2)]
+        parts += [
+            _part(s.VEL_X, node[ok], vx[ok], levels.velocity**2),
+            _part(s.VEL_Y, node[ok], vy[ok], levels.velocity**2),
+        ]
     else:
         kind = s.THIRD_X if e.body == "tractor" else s.SECOND_X
         var = (levels.white_second * sd) ** 2
@@ -288,7 +311,12 @@ def _swing(node: Ints, ahead: Floats, nodes: Floats, yaw: Floats, p: Floats) -> 
 
 
 def _motion(
-    nodes: Floats, slow: NDArray[np.bool_], still: NDArray[np.bool_], levels: Levels, p: Floats, wheel: WheelSpeed | None
+    nodes: Floats,
+    slow: NDArray[np.bool_],
+    still: NDArray[np.bool_],
+    levels: Levels,
+    p: Floats,
+    wheel: WheelSpeed | None,
 ) -> list[Part]:
     every = np.arange(0, nodes.shape[0], EVERY_TILT)
     moving = every[~slow[every]]
@@ -296,7 +324,9 @@ def _motion(
     parts = [_part(s.ACCEL_Y, every, nodes[every, s.U_FY], noise)]
     if p[s.P_SEEDER] > 0.0:
         rate1, rate2 = (p[s.P_GYRO1] * p[s.P_HITCH]) ** 2 / STEP, (p[s.P_GYRO2] * p[s.P_AXLE2]) ** 2 / STEP
-        parts.append(_part(s.HITCH, moving, np.zeros(moving.size), HITCH_FLOOR**2 + levels.hitch**2 * (rate1 + rate2)))
+        parts.append(
+            _part(s.HITCH, moving, np.zeros(moving.size), HITCH_FLOOR**2 + levels.hitch**2 * (rate1 + rate2))
+        )
     if wheel is not None:
         k = np.arange(0, nodes.shape[0], EVERY_WHEEL)
         k = k[~still[k] & np.isfinite(wheel.speed[k])]
@@ -344,7 +374,10 @@ def _level(t: Floats, epochs: Sequence[Epochs], yaw: Floats) -> list[Part]:
     c, sn = np.cos(yaw[k]), np.sin(yaw[k])
     rough = physics.ROUGH**2 * 2.0 * physics.ROUGH_TIME / max(t[-1] - t[0], 1.0)
     parts = []
-    for kind, axis in ((s.LEVEL_ROLL, np.column_stack([-sn, c])), (s.LEVEL_PITCH, np.column_stack([-c, -sn]))):
+    for kind, axis in (
+        (s.LEVEL_ROLL, np.column_stack([-sn, c])),
+        (s.LEVEL_PITCH, np.column_stack([-c, -sn])),
+    ):
         variance = np.einsum("ni,ij,nj->n", axis, covariance, axis) + rough
         parts.append(_part(kind, k, np.arctan(axis @ gradient), variance * k.size))
     return parts
@@ -372,7 +405,10 @@ def starting_state(
     x[s.Y] = position[1] - fwd * math.sin(yaw[0]) - p[s.P_ANT_Y] * math.cos(yaw[0])
     x[s.YAW1], x[s.YAW2], x[s.V] = yaw[0], yaw[1], speed
     level = nodes[: max(1, min(100, nodes.shape[0]))].mean(axis=0)
-    x[s.ROLL], x[s.PITCH] = math.asin(min(max(level[s.U_FY] / GRAVITY, -0.5), 0.5)), -math.asin(min(max(level[s.U_FX] / GRAVITY, -0.5), 0.5))
+    x[s.ROLL], x[s.PITCH] = (
+        math.asin(min(max(level[s.U_FY] / GRAVITY, -0.5), 0.5)),
+        -math.asin(min(max(level[s.U_FX] / GRAVITY, -0.5), 0.5)),
+    )
     imd = [u for u in manifest.of_kind("imd").values() if u.body == "tractor"]
     gyro = max((u.gyro_bias or physics.GYRO_BIAS) for u in imd)
     accel = max((u.accel_bias or physics.ACCEL_BIAS) for u in imd)
@@ -388,4 +424,3 @@ def starting_state(
     else:
         sd[s.YAW2] = 0.0
     return x, np.diag(sd**2)
-

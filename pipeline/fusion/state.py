@@ -43,7 +43,8 @@ SIZE: Final = 28
 STATE_NAMES: Final = (
     "x", "y", "yaw1", "v", "slip1", "roll", "pitch", "gyro_bias_x", "gyro_bias_y", "gyro_bias_z",
     "accel_bias_x", "accel_bias_y", "yaw2", "gyro_bias_z2", "slip2", "gnss_slow_x", "gnss_slow_y",
-    "gnss_float_x", "gnss_float_y", "lag", "wheel_scale", "heading_bias", "gnss2_slow_x", "gnss2_slow_y", "gyro_scale1", "gyro_scale2",
+    "gnss_float_x", "gnss_float_y", "lag", "wheel_scale", "heading_bias", "gnss2_slow_x", "gnss2_slow_y",
+    "gyro_scale1", "gyro_scale2",
     "turn_slip1", "turn_slip2",
 )  # fmt: skip
 

@@ -77,9 +77,13 @@ def best_steering(
     fast = np.zeros(t.size) if given.correlation_time > 5.0 * dt else given.sd
     keep = np.array([np.exp(-dt / tau), 1.0, np.exp(-dt / FRONT_TIME)])
     decay = np.tile(keep, (k.size, 1))
-    drive = np.column_stack([slow**2 * (1 - keep[0] ** 2) + 1e-14, np.full(k.size, 1e-14), slip[k] ** 2 * (1 - keep[2] ** 2)])
+    drive = np.column_stack(
+        [slow**2 * (1 - keep[0] ** 2) + 1e-14, np.full(k.size, 1e-14), slip[k] ** 2 * (1 - keep[2] ** 2)]
+    )
     start = np.diag([max(slow[0], 1e-6) ** 2, given.zero_sd**2, slip[0] ** 2])
-    error, variance = smooth_error((given.angle - path)[k], WHITE**2 + float(np.mean(fast[k])) ** 2, decay, drive, start)
+    error, variance = smooth_error(
+        (given.angle - path)[k], WHITE**2 + float(np.mean(fast[k])) ** 2, decay, drive, start
+    )
     best = given.angle - np.interp(t, t[k], error)
     sd = np.sqrt(np.interp(t, t[k], variance) + fast**2 + (given.scale_sd * best) ** 2)
     return best, sd

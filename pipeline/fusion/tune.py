@@ -30,6 +30,7 @@ FACTORS = (2.0, 1.4, 1.2)  # of successive sweeps
 
 def best_lag(likelihood: Callable[[float], float], prior_sd: float) -> float:
     """Lag from which the estimate may start: best of a grid of 25 ms about the prior, refined to 6 ms."""
+
     def posterior(lag: float) -> float:
         return likelihood(lag) - 0.5 * (lag / prior_sd) ** 2
 
@@ -41,6 +42,7 @@ def best_lag(likelihood: Callable[[float], float], prior_sd: float) -> float:
 
 def best_levels(start: Levels, free: tuple[str, ...], likelihood: Callable[[Levels], float]) -> Levels:
     """Levels of the largest posterior: coordinate search from `start` over the named fields."""
+
     def posterior(levels: Levels) -> float:
         prior = sum(
             math.log(getattr(levels, name) / getattr(start, name)) ** 2 for name in free

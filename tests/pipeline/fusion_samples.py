@@ -8,7 +8,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-
 from smts_validate.pipeline.fusion.motion import BodyMotion, Motion
 from smts_validate.pipeline.twin import make_pass, write_raw
 from smts_validate.pipeline.twin_plan import TwinPlan, preset, with_value

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from fusion_samples import sample
-
 from smts_validate.pipeline.fusion import engine_compiled, engine_filterpy, fuse, kernels, known
 from smts_validate.pipeline.fusion import state as s
 from smts_validate.pipeline.fusion.draws import posterior_errors
@@ -26,7 +25,9 @@ def whole() -> tuple[Problem, np.ndarray]:
 
 
 @pytest.mark.parametrize("linear", [False, True])
-def test_both_engines_give_the_same_filter_and_smoother(whole: tuple[Problem, np.ndarray], linear: bool) -> None:
+def test_both_engines_give_the_same_filter_and_smoother(
+    whole: tuple[Problem, np.ndarray], linear: bool
+) -> None:
     task, path = whole
     part = fuse.cut(task, 250, 650, path)
     lin = path[250:650] if linear else None
@@ -58,7 +59,7 @@ def batch_least_squares(task: Problem, path: np.ndarray) -> tuple[np.ndarray, np
         scale.append(np.sqrt(var[driven]))
     sd = np.concatenate(scale)
     width = sd.size
-    full = [np.hstack([b, np.zeros((s.SIZE, width - b.shape[1])) ]) * sd for b in blocks]
+    full = [np.hstack([b, np.zeros((s.SIZE, width - b.shape[1]))]) * sd for b in blocks]
     rows, values = [np.eye(width)], [np.zeros(width)]
     for m in range(q.kind.size):
         k, H = q.node[m], np.zeros(s.SIZE)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from smts_validate.pipeline.fusion import filtering, kernels
 from smts_validate.pipeline.fusion import state as s
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from fusion_samples import Sample, changed, errors, make, rms, sample
-
 from smts_validate.pipeline.fusion.fuse import fuse
 from smts_validate.pipeline.fusion.known import FusionError
 from smts_validate.pipeline.fusion.motion import Motion
@@ -30,7 +29,9 @@ def short() -> tuple[Sample, Motion]:
     return of, fuse(of.log)
 
 
-def test_a_plain_pass_is_followed_to_centimetres_and_hundredths_of_a_degree(short: tuple[Sample, Motion]) -> None:
+def test_a_plain_pass_is_followed_to_centimetres_and_hundredths_of_a_degree(
+    short: tuple[Sample, Motion],
+) -> None:
     of, motion = short
     e = {name: rms(error) for name, (error, _) in errors(motion, of).items()}
     # the figures to reach for benign RTK, with room for one pass's slow GNSS error (1 to 1.5 cm) and cross slope
@@ -52,7 +53,9 @@ def test_without_tilt_compensation_a_roof_antenna_ruins_the_track(short: tuple[S
     assert not blind.consistent
 
 
-def test_stated_deviations_are_positive_finite_and_of_the_size_of_the_error(short: tuple[Sample, Motion]) -> None:
+def test_stated_deviations_are_positive_finite_and_of_the_size_of_the_error(
+    short: tuple[Sample, Motion],
+) -> None:
     of, motion = short
     for name, (error, sd) in errors(motion, of).items():
         assert np.isfinite(sd).all(), name
@@ -129,13 +132,18 @@ def test_a_turned_field_gives_the_turned_motion(short: tuple[Sample, Motion]) ->
     x, y, _ = to_enu(gnss.lat, gnss.lon, gnss.alt, Place(gnss))
     angle = 2.4  # carries the heading of this pass beyond ±π on the way back
     c, s = np.cos(angle), np.sin(angle)
-    turned = replace(log, streams={**log.streams, name: moved_gnss(gnss, c * x - s * y, s * x + c * y, gnss.course + angle)})
+    turned = replace(
+        log,
+        streams={**log.streams, name: moved_gnss(gnss, c * x - s * y, s * x + c * y, gnss.course + angle)},
+    )
     a, b = fuse(log, PLAIN), fuse(turned, PLAIN)
     for one, other in zip(a.bodies, b.bodies, strict=True):
         np.testing.assert_allclose(other.x, c * one.x - s * one.y, rtol=0, atol=5e-4)
         np.testing.assert_allclose(other.y, s * one.x + c * one.y, rtol=0, atol=5e-4)
         difference = other.yaw - one.yaw - angle
-        np.testing.assert_allclose(np.remainder(difference + np.pi, 2 * np.pi) - np.pi, 0.0, rtol=0, atol=5e-5)
+        np.testing.assert_allclose(
+            np.remainder(difference + np.pi, 2 * np.pi) - np.pi, 0.0, rtol=0, atol=5e-5
+        )
 
 
 def test_the_same_pass_on_another_day_gives_the_same_motion(short: tuple[Sample, Motion]) -> None:
@@ -216,7 +224,11 @@ def test_the_southern_hemisphere_is_like_the_northern() -> None:
 
 def test_a_tractor_alone_has_one_body(short: tuple[Sample, Motion]) -> None:
     log = short[0].log
-    text = "\n".join(drop_tables(log.manifest_text, ("machine.seeder", "machine.tyres.seeder", "sensors.imd2", "sensors.imd3")))
+    text = "\n".join(
+        drop_tables(
+            log.manifest_text, ("machine.seeder", "machine.tyres.seeder", "sensors.imd2", "sensors.imd3")
+        )
+    )
     manifest = parse(text)
     alone = replace(log, manifest=manifest, streams={k: log.streams[k] for k in manifest.sensors})
     motion = fuse(alone)
@@ -261,7 +273,9 @@ def test_a_filter_whose_noise_is_misstated_says_so(short: tuple[Sample, Motion])
     name, gnss = gnss_of(log)
     rng = np.random.default_rng(0)
     x, y, _ = to_enu(gnss.lat, gnss.lon, gnss.alt, Place(gnss))
-    rough = moved_gnss(gnss, x + rng.normal(size=x.size) * 0.08, y + rng.normal(size=x.size) * 0.08, gnss.course)
+    rough = moved_gnss(
+        gnss, x + rng.normal(size=x.size) * 0.08, y + rng.normal(size=x.size) * 0.08, gnss.course
+    )
     motion = fuse(replace(log, streams={**log.streams, name: rough}), FusionSettings(adapt=False))
     assert not motion.consistent
     assert any("innovations" in w.what for w in motion.warnings)
