@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-UNITS = {"to", "cm", "mm", "ms", "Hz", "ppm", "MPa", "kg", "rad"}  # words that a number may hold
+UNITS = {"to", "RMSE", "cm", "mm", "ms", "Hz", "ppm", "MPa", "kg", "rad"}  # words that a number may hold
 
 Role = Literal[
     "measured", "simulated", "measured2", "simulated2", "residual", "null", "tractor", "seeder",

@@ -18,7 +18,7 @@ from .report_blocks import Curve, Panel
 Floats = NDArray[np.float64]
 
 UPLOT = "uplot-python"
-DIGITS = 5  # significant digits that a drawn value keeps
+X_DIGITS, DIGITS = 5, 4  # significant digits that a drawn value keeps
 
 
 class MissingFileError(RuntimeError):
@@ -87,7 +87,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
             for i in range(len(columns) - 1)
             if columns[i].hidden and columns[i + 1].hidden and columns[i].curve is columns[i + 1].curve
         ],
-        "data": [_rounded(x), *(rounded(_on(x, column)) for column in columns)],
+        "data": [_rounded(x, X_DIGITS), *(rounded(_on(x, column)) for column in columns)],
     }
 
 
@@ -124,11 +124,11 @@ def _significant(values: Floats) -> list[float | None]:
     return [float(f"{v:.3g}") if math.isfinite(v) else None for v in values.tolist()]
 
 
-def _rounded(values: Floats) -> list[float | None]:
-    """Values to `DIGITS` significant digits of the largest, None where not finite."""
+def _rounded(values: Floats, digits: int = DIGITS) -> list[float | None]:
+    """Values to so many significant digits of the largest, None where not finite."""
     finite = np.abs(values[np.isfinite(values)])
     largest = float(finite.max()) if finite.size else 0.0
-    places = 0 if largest == 0.0 else DIGITS - 1 - math.floor(math.log10(largest))
+    places = 0 if largest == 0.0 else digits - 1 - math.floor(math.log10(largest))
     rounded = np.round(values, places)
     whole = places <= 0
     return [None if not math.isfinite(v) else int(v) if whole else v for v in rounded.tolist()]

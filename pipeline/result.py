@@ -123,7 +123,8 @@ def write_tables(folder: Path, result: PassResult) -> None:
     simulation = tables.simulation_table(result.motion, result.rows, result.simulated, ours)
     tables.write_table(simulation, folder / SIMULATION)
     tables.write_table(pa.table(dict(result.comparison)), folder / COMPARISON)
-    tables.write_table(tables.plots_table(result.plots), folder / PLOTS)
+    plots = {**result.plots, **tables.innovation_plots(result.motion)}
+    tables.write_table(tables.plots_table(plots), folder / PLOTS)
     (folder / METRICS).write_text(dump_json(result.metrics), encoding="utf-8")
 
 

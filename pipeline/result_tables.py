@@ -182,6 +182,17 @@ def plots_of_table(table: pa.Table) -> dict[str, dict[str, PlotSeries]]:
     return found
 
 
+def innovation_plots(motion: Motion) -> dict[str, dict[str, PlotSeries]]:
+    """Normalised innovations over time by channel (`innovations`), and those that the filter refused."""
+    used, refused = {}, {}
+    for channel, columns in motion.innovations.items():
+        kept = columns["used"] > 0.5
+        used[channel] = PlotSeries(columns["t"][kept], columns["value"][kept])
+        if not kept.all():
+            refused[channel] = PlotSeries(columns["t"][~kept], columns["value"][~kept])
+    return {"innovations": used, "innovations refused": refused} if motion.innovations else {}
+
+
 def read_plots(path: Path) -> dict[str, dict[str, PlotSeries]]:
     """The curves of plots.parquet."""
     return plots_of_table(pq.read_table(path))

@@ -12,6 +12,8 @@ from ._common import ROW_GAP
 
 Floats = NDArray[np.float64]
 
+MOST_WINDOWS = 1e6  # in a row: tells windows of different rows apart
+
 
 @dataclass(frozen=True)
 class Track:
@@ -25,28 +27,59 @@ class Track:
 
 
 def measured(view: PassView, b: str) -> Track:
-    """The fused motion of body `b` inside rows, broken between rows."""
+    """The fused motion of body `b` inside rows, broken between them; on the comparison's grid if possible."""
     t = view.trajectory
-    return _track(view, b, t, t[f"sd_n{b}"], t[f"sd_yaw{b}"], np.zeros(t["t"].size))
+    if not _on_grid(view, b):
+        return _series(view, b, t, (t[f"sd_n{b}"], t[f"sd_yaw{b}"]), np.zeros(t["t"].size))
+    grid = view.comparison
+    sds = (_along(view, grid["row"], grid["s"], b, name) for name in ("sd_n", "sd_yaw"))
+    return _broken(view, grid["row"], grid["s"], (grid[f"n{b}"], grid[f"yaw{b}"], *sds), grid["row"])
 
 
 def simulated(view: PassView, b: str) -> Track | None:
     """The model's motion of body `b`, broken between rows and windows; None where nothing was simulated."""
-    columns = view.simulation
+    columns, grid = view.simulation, view.comparison
     if not np.isfinite(columns[f"n{b}"]).any():
         return None
-    nothing = np.full(columns["t"].size, np.nan)
-    return _track(view, b, columns, nothing, nothing, np.nan_to_num(columns["window"], nan=-1.0))
+    if not _on_grid(view, b):
+        nothing = np.full(columns["t"].size, np.nan)
+        window = np.nan_to_num(columns["window"], nan=-1.0)
+        return _series(view, b, columns, (nothing, nothing), window)
+    nothing = np.full(grid["s"].size, np.nan)
+    values = (grid[f"n{b}_simulated"], grid[f"yaw{b}_simulated"], nothing, nothing)
+    part = np.nan_to_num(grid[f"window{b}"], nan=-1.0) + MOST_WINDOWS * grid["row"]
+    return _broken(view, grid["row"], grid["s"], values, part)
 
 
-def _track(view: PassView, b: str, values: Columns, sd_n: Floats, sd_yaw: Floats, window: Floats) -> Track:
-    inside = values["row"] >= 0
-    x = joined_distance(view, values["row"], values[f"s{b}"])[inside]
-    yaw = relative_yaw(view, values["row"], values[f"yaw{b}"])[inside]
-    joins = np.flatnonzero(np.diff(values["row"][inside]) + np.diff(window[inside])) + 1
-    columns = (values[f"n{b}"][inside], yaw, sd_n[inside], sd_yaw[inside])
-    # A sample that is not there breaks the line where one row or window ends and the next begins.
-    return Track(np.insert(x, joins, x[joins]), *(np.insert(column, joins, np.nan) for column in columns))
+def _series(view: PassView, b: str, columns: Columns, sds: tuple[Floats, Floats], window: Floats) -> Track:
+    """A track from columns over time; inside rows only, broken where row or window change."""
+    inside = columns["row"] >= 0
+    yaw = relative_yaw(view, columns["row"], columns[f"yaw{b}"])
+    values = tuple(column[inside] for column in (columns[f"n{b}"], yaw, *sds))
+    part = (window + MOST_WINDOWS * columns["row"])[inside]
+    return _broken(view, columns["row"][inside], columns[f"s{b}"][inside], values, part)
+
+
+def _on_grid(view: PassView, b: str) -> bool:
+    """Whether every row of the pass was compared, for this body."""
+    grid = view.comparison
+    return f"n{b}_simulated" in grid and set(np.unique(grid["row"])) == set(view.row_indices)
+
+
+def _along(view: PassView, row: Floats, s: Floats, b: str, name: str) -> Floats:
+    """A column of the trajectory read at the grid's chainages."""
+    t, found = view.trajectory, np.full(s.size, np.nan)
+    for index in view.row_indices:
+        here, there = row == index, t["row"] == index
+        found[here] = np.interp(s[here], np.maximum.accumulate(t[f"s{b}"][there]), t[f"{name}{b}"][there])
+    return found
+
+
+def _broken(view: PassView, row: Floats, s: Floats, values: tuple[Floats, ...], part: Floats) -> Track:
+    """The track with a sample that is not there wherever `part` changes: it breaks the line."""
+    x = joined_distance(view, row, s)
+    joins = np.flatnonzero(np.diff(part)) + 1
+    return Track(np.insert(x, joins, x[joins]), *(np.insert(column, joins, np.nan) for column in values))
 
 
 def row_starts(view: PassView) -> dict[int, tuple[float, float]]:

@@ -102,7 +102,8 @@ def _clock(health: Mapping[str, Entry]) -> list[Block]:
     if offset is None:
         return []
     drift = number(clock.get("host_drift_ppm"), 1, "ppm")
-    return [Text(f"The logger's clock was {number(offset, 3, 's')} ahead of UTC and ran off by {drift}.")]
+    side = "ahead of" if offset >= 0.0 else "behind"
+    return [Text(f"The logger's clock was {number(abs(offset), 3, 's')} {side} UTC and ran off by {drift}.")]
 
 
 def _warnings(warnings: Sequence[Entry]) -> tuple[Block, ...]:

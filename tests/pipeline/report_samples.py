@@ -152,6 +152,10 @@ def motion(seconds: float = 60.0, seeder: bool = True) -> Motion:
         seeder=body(t, DRAWBAR, 0.8 * AMPLITUDE) if seeder else None,
         steer=steer, sd_steer=np.full(t.size, 0.002),
         steer_input=SteerInput(steer, np.full(t.size, 0.002), 5.0, 0.005, 0.01, "wheels"),
+        innovations={
+            f"gnss position, {axis}": {"t": t[::5], "value": np.sin(t[::5]), "used": np.ones(t[::5].size)}
+            for axis in ("east", "north")
+        },
         draw_t=draw_t, draws=np.zeros((4, draw_t.size, 6 if seeder else 3)), gnss_t=t[::5],
     )  # fmt: skip
 
@@ -229,7 +233,8 @@ def metrics(run: str = "sample-1", seeder: bool = True) -> dict[str, Any]:
     }  # fmt: skip
     found["responses"] = {
         n: {"unit": "m", "percent": RESPONSES[n], "percent_null": 40.0, "interval": [4.0, 9.5], "rmse": 0.004,
-            "rmse_null": 0.04, "r95": 0.12, "u": 0.003, "u_range": 0.003, "u_input": 0.002, "n_eff": 9.0,
+            "rmse_null": 0.04, "r95": 0.12, "u": 0.003, "u_range": 0.003, "u_absolute": 0.01,
+            "u_input": 0.002, "n_eff": 9.0,
             "n_eff_range": 12.0}
         for n in names
     }  # fmt: skip
@@ -261,6 +266,12 @@ def metrics(run: str = "sample-1", seeder: bool = True) -> dict[str, Any]:
                          "zero_sd_deg": 0.3, "scale_sd": 0.01}  # fmt: skip
     found["spectra"] = {}
     found["consistency"] = {"consistent": True, "channels": [channel]}
+    noise = {"imd1": {"gyro": {"value": 1e-4, "unit": "rad/s/sqrt(Hz)", "source": "manifest"}}}
+    calibration = {
+        "lag": {"value": 0.1, "sd": 0.002, "unit": "s"},
+        "wds1": {"tilt_x": {"value": -1e-3, "sd": 1e-4}},
+    }
+    found["fusion"] = {"noise": noise, "calibration": calibration}
     found["provenance"] = {
         "versions": {"smts-validate": "0.1.0"},
         "log_sha256": "ab" * 32,

@@ -298,12 +298,12 @@ def test_curves_of_one_panel_stay_on_one_grid_when_thinned() -> None:
     np.testing.assert_array_equal(panel.curves[0].x, panel.curves[1].x)
 
 
-def test_page_data_are_the_series_to_five_digits_with_gaps_as_null() -> None:
+def test_page_data_are_the_series_to_four_digits_with_gaps_as_null() -> None:
     x = np.arange(5.0)
     y = np.array([1.23456789, np.nan, -100.0, 1e-9, 3.0])
     data = json.loads(report_charts.chart_json(style.thin(_chart(x, y), 100)))["panels"][0]["data"]
     assert data[0] == [0, 1, 2, 3, 4]
-    assert data[1] == [1.23, None, -100.0, 0.0, 3.0]
+    assert data[1] == [1.2, None, -100.0, 0.0, 3.0]
     log = json.loads(report_charts.chart_json(style.thin(_chart(x, y, log_y=True), 100)))["panels"][0]["data"]
     assert log[1] == [1.23, None, -100.0, 1e-9, 3.0]
 
