@@ -1,4 +1,4 @@
-"""Compiled runs: fixed-step Runge–Kutta 4, adaptive Dormand–Prince 4(5), and batches of runs."""
+"""Compiled runs: fixed-step Runge–Kutta 4, and batches of runs."""
 
 from __future__ import annotations
 
@@ -10,29 +10,13 @@ from numba import njit
 from . import _layout as at
 from ._kernels import SLOWEST, derivative
 from ._layout import Floats, Options, Tables
-from ._steering import TICK, load_inputs, steering, tick
+from ._steering import TICK, inputs_at, steering, tick
 
 FULL_SIZE, SLIP, VX1, VY1, W1, W2 = at.FULL_SIZE, at.SLIP, at.VX1, at.VY1, at.W1, at.W2
 X1, Y1, YAW1, YAW2 = at.X1, at.Y1, at.YAW1, at.YAW2
 HITCH, L5 = at.HITCH, at.HITCH_TO_COM
 WHEELS, WHEEL_SIZE = at.WHEELS, at.WHEEL_SIZE
 FASTEST_TURN = 50.0  # rad/s; a body that turns faster has diverged
-MOST_TRIALS = 200_000  # of the adaptive integrator between two samples; beyond, the run counts as diverged
-
-# Dormand and Prince (1980), RK5(4)7M: nodes, stages, and the difference of the two solutions.
-NODES = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
-STAGES = np.array(
-    [
-        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [1 / 5, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [3 / 40, 9 / 40, 0.0, 0.0, 0.0, 0.0],
-        [44 / 45, -56 / 15, 32 / 9, 0.0, 0.0, 0.0],
-        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0.0, 0.0],
-        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0.0],
-        [35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
-    ]
-)
-ERROR = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
 
 
 @njit(cache=True, error_model="numpy")
@@ -50,9 +34,7 @@ def finish_step(
 ) -> None:  # fmt: skip
     """Runge–Kutta 4 from t to t + h, its first slope k[0] being known; leaves u at t + h."""
     ground, spacing = tables.distance_force[int(change[at.FORCE_ROW])], tables.spacing
-    load_inputs(
-        t + 0.5 * h, steering(t + 0.5 * h, memory, driver, change, tables, step), p, change, tables, u
-    )
+    inputs_at(t + 0.5 * h, memory, driver, change, tables, step, p, u)
     for i in range(size):
         trial[i] = s[i] + 0.5 * h * k[0, i]
     derivative(trial, p, u, ground, spacing, options, k[1])
@@ -61,7 +43,7 @@ def finish_step(
     derivative(trial, p, u, ground, spacing, options, k[2])
     for i in range(size):
         trial[i] = s[i] + h * k[2, i]
-    load_inputs(t + h, steering(t + h, memory, driver, change, tables, step), p, change, tables, u)
+    inputs_at(t + h, memory, driver, change, tables, step, p, u)
     derivative(trial, p, u, ground, spacing, options, k[3])
     for i in range(size):
         s[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
@@ -83,58 +65,6 @@ def fixed_span(
             t + part * h / parts, h / parts, s, size, p, driver, memory, change, tables, options, h, u, k,
             trial
         )  # fmt: skip
-
-
-@njit(cache=True, error_model="numpy")
-def trial_step(
-    t: float, h: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats, change: Floats,
-    tables: Tables, options: Options, step: float, u: Floats, k: Floats, trial: Floats,
-) -> float:  # fmt: skip
-    """One Dormand–Prince step into trial, its first slope k[0] being known; gives its error over the
-    tolerance."""
-    ground = tables.distance_force[int(change[at.FORCE_ROW])]
-    for stage in range(1, 7):
-        for i in range(size):
-            slope = 0.0
-            for j in range(stage):
-                slope += STAGES[stage, j] * k[j, i]
-            trial[i] = s[i] + h * slope
-        now = t + NODES[stage] * h
-        load_inputs(now, steering(now, memory, driver, change, tables, step), p, change, tables, u)
-        derivative(trial, p, u, ground, tables.spacing, options, k[stage])
-    worst = 0.0
-    for i in range(size):
-        error = 0.0
-        for j in range(7):
-            error += ERROR[j] * k[j, i]
-        allowed = options.absolute_tolerance + options.relative_tolerance * max(abs(s[i]), abs(trial[i]))
-        worst = max(worst, abs(h * error) / allowed)
-    return worst
-
-
-@njit(cache=True, error_model="numpy")
-def adaptive_span(
-    t: float, span: float, guess: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats,
-    change: Floats, tables: Tables, options: Options, step: float, u: Floats, k: Floats, trial: Floats,
-) -> float:  # fmt: skip
-    """Dormand–Prince from t to t + span, its first slope k[0] being known; gives the next step to try, 0 if
-    lost."""
-    done, h = 0.0, guess
-    for _ in range(MOST_TRIALS):
-        last = done + h >= span * (1.0 - 1e-12)
-        now = span - done if last else h
-        error = trial_step(
-            t + done, now, s, size, p, driver, memory, change, tables, options, step, u, k, trial
-        )
-        factor = 0.2 if not math.isfinite(error) else min(max(0.9 * max(error, 1e-10) ** -0.2, 0.2), 5.0)
-        if error <= 1.0:
-            for i in range(size):
-                s[i], k[0, i] = trial[i], k[6, i]
-            done += now
-            if last:
-                return max(h, now * factor)
-        h = now * factor
-    return 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -175,6 +105,21 @@ def write_sample(s: Floats, rate: Floats, mean: float, sample: Floats) -> None:
     sample[at.STEER] = mean
 
 
+@njit(cache=True, error_model="numpy")
+def begin(
+    initial: Floats, p: Floats, driver: Floats, change: Floats, tables: Tables, h: float, memory: Floats,
+    s: Floats, u: Floats,
+) -> None:  # fmt: skip
+    """State, inputs and the driver's memory of the first instant."""
+    for i in range(at.STATE_SIZE):
+        s[i] = initial[i]
+    start = change[at.START]
+    memory[TICK] = start
+    u[at.FORCE_FACTOR] = change[at.FORCE_SCALE]
+    inputs_at(start, memory, driver, change, tables, h, p, u)
+    start_slips(s, p, u)
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def run(
     initial: Floats, p: Floats, driver: Floats, change: Floats, tables: Tables, options: Options,
@@ -187,16 +132,11 @@ def run(
         np.zeros(FULL_SIZE),
         np.zeros(at.INPUT_SIZE),
         np.zeros(FULL_SIZE),
-        np.zeros((7, FULL_SIZE)),
+        np.zeros((4, FULL_SIZE)),
     )
-    s[: at.STATE_SIZE] = initial
     start, period = change[at.START], max(int(driver[at.PERIOD_STEPS]), 1)
     ground = tables.distance_force[int(change[at.FORCE_ROW])]
-    memory[TICK] = start
-    u[at.FORCE_FACTOR] = change[at.FORCE_SCALE]
-    guess = h
-    load_inputs(start, steering(start, memory, driver, change, tables, h), p, change, tables, u)
-    start_slips(s, p, u)
+    begin(initial, p, driver, change, tables, h, memory, s, u)
     for step in range((out.shape[0] - 1) * every + 1):
         t = start + step * h
         if driver[at.ACTIVE] > 0.0 and step % period == 0:
@@ -206,14 +146,7 @@ def run(
             if has_diverged(s):
                 return step // every
             write_sample(s, k[0], steering(t, memory, driver, change, tables, h), out[step // every])
-        if options.adaptive == 1:
-            guess = adaptive_span(
-                t, h, guess, s, size, p, driver, memory, change, tables, options, h, u, k, trial
-            )  # fmt: skip
-            if guess == 0.0:
-                return step // every + 1
-        else:
-            fixed_span(t, h, s, size, p, driver, memory, change, tables, options, u, k, trial)
+        fixed_span(t, h, s, size, p, driver, memory, change, tables, options, u, k, trial)
     return int(out.shape[0])
 
 

@@ -91,14 +91,11 @@ def tractor_force(
         base = WHEELS + i * WHEEL_SIZE
         px, py = p[base + WHEEL_X], p[base + WHEEL_Y]
         vx, vy = v - w * py, sideways + w * px
-        if i < 2:
-            sin, cos = u[SIN_LEFT + 2 * i], u[COS_LEFT + 2 * i]
-            along, across, slope = wheel_force(
-                cos * vx + sin * vy, cos * vy - sin * vx, p, base, traction, s[SLIP + i], options
-            )
-            fx, fy = cos * along - sin * across, sin * along + cos * across
-        else:
-            fx, fy, slope = wheel_force(vx, vy, p, base, traction, s[SLIP + i], options)
+        sin, cos = (u[SIN_LEFT + 2 * i], u[COS_LEFT + 2 * i]) if i < 2 else (0.0, 1.0)
+        along, across, slope = wheel_force(
+            cos * vx + sin * vy, cos * vy - sin * vx, p, base, traction, s[SLIP + i], options
+        )
+        fx, fy = cos * along - sin * across, sin * along + cos * across
         rate[SLIP + i] = slope
         sum_x += fx
         sum_y += fy
@@ -159,14 +156,14 @@ def determinant4(m: Floats) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def solve_cramer(m: Floats, r: Floats, q: Floats) -> None:
-    """q = m⁻¹·r by Cramer's rule, the paper's way."""
+def solve_cramer(m: Floats, r1: float, r2: float, r3: float, r4: float, rate: Floats) -> None:
+    """rate[VX1..W2] = m⁻¹·r by Cramer's rule, the paper's way; m (4, 4) is left as it was."""
     whole = determinant4(m)
-    part = m.copy()
     for k in range(4):
-        part[:, k] = r
-        q[k] = determinant4(part) / whole
-        part[:, k] = m[:, k]
+        m0, m1, m2, m3 = m[0, k], m[1, k], m[2, k], m[3, k]
+        m[0, k], m[1, k], m[2, k], m[3, k] = r1, r2, r3, r4
+        rate[VX1 + k] = determinant4(m) / whole
+        m[0, k], m[1, k], m[2, k], m[3, k] = m0, m1, m2, m3
 
 
 @njit(cache=True, error_model="numpy")
@@ -176,7 +173,7 @@ def solve_by_cramer(
 ) -> None:  # fmt: skip
     """Accelerations by Cramer's rule on the whole (4, 4) system."""
     lever4, lever5 = p[MASS2] * p[HITCH], p[MASS2] * p[L5]
-    m, r = np.zeros((4, 4)), np.array([r1, r2, r3, r4])
+    m = np.zeros((4, 4))
     m[0, 0] = m[1, 1] = p[MASS1] + p[MASS2]
     m[0, 2] = m[2, 0] = lever4 * s1
     m[0, 3] = m[3, 0] = lever5 * s2
@@ -185,7 +182,7 @@ def solve_by_cramer(
     m[2, 2] = p[INERTIA1] + lever4 * p[HITCH]
     m[3, 3] = p[INERTIA2] + lever5 * p[L5]
     m[2, 3], m[3, 2] = a34, a43
-    solve_cramer(m, r, rate[VX1 : W2 + 1])
+    solve_cramer(m, r1, r2, r3, r4, rate)
 
 
 @njit(cache=True, error_model="numpy", inline="always")

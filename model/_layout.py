@@ -76,7 +76,6 @@ class Options(NamedTuple):
     cramer: int
     ellipse: int
     draft_on_axis: int
-    adaptive: int
     largest_rate: float
     relative_tolerance: float
     absolute_tolerance: float

@@ -23,7 +23,6 @@ def pack_options(settings: SimulationSettings) -> Options:
         cramer=int(settings.solver == "cramer"),
         ellipse=int(settings.friction_ellipse),
         draft_on_axis=int(settings.draft_direction == "axis"),
-        adaptive=int(settings.integrator == "dopri45"),
         largest_rate=float(settings.largest_rate),
         relative_tolerance=float(settings.relative_tolerance),
         absolute_tolerance=float(settings.absolute_tolerance),

@@ -73,6 +73,16 @@ def load_inputs(t: float, mean: float, p: Floats, change: Floats, tables: Tables
 
 
 @njit(cache=True, error_model="numpy")
+def inputs_at(
+    t: float, memory: Floats, driver: Floats, change: Floats, tables: Tables, h: float, p: Floats, u: Floats
+) -> float:
+    """Inputs u at time t; gives the mean front angle."""
+    mean = steering(t, memory, driver, change, tables, h)
+    load_inputs(t, mean, p, change, tables, u)
+    return float(mean)
+
+
+@njit(cache=True, error_model="numpy")
 def path_point(progress: float, tables: Tables) -> tuple[float, float, float]:
     """x, y and heading of the path at a distance along it, going straight on beyond its ends."""
     last = tables.path.shape[0] - 1

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _layout as at
+from ._adaptive import run_adaptive_batch
 from ._integrators import run_batch
 from ._packing import pack_controls, pack_driver, pack_machine, pack_options
 from ._steering import FROM, PROGRESS, RING, RING_SIZE, TO
@@ -206,7 +207,8 @@ def simulate_batch(
     _require_rows(change, tables)
     out = np.full((len(state), samples, at.OUTPUT_SIZE), np.nan)
     good = np.zeros(len(state))
-    run_batch(
+    integrate = run_adaptive_batch if settings.integrator == "dopri45" else run_batch
+    integrate(
         state,
         np.stack([pack_machine(m, settings) for m in many]),
         np.stack([pack_driver(d, step) for d in who]),
