@@ -161,13 +161,20 @@ def summarise(passes: Sequence[PassStatistics], response: str) -> Summary:
 
 
 def half_width(summary: Summary, level: float, count: int | None = None, dof: int | None = None) -> float:
-    """U = t_{level, ν}·√(s²/n + var ln R95) on the scale of l; infinite without degrees of freedom."""
+    """U = t_{level, ν}·√(s²/n + var ln R95) on the scale of l; infinite without degrees of freedom.
+
+    ν by Welch and Satterthwaite: the spread has its own degrees of freedom, the normaliser's variance those of
+    the effective samples that it comes from.
+    """
     count = summary.count if count is None else count
     dof = summary.dof if dof is None else dof
     if dof < 1:
         return float("inf")
-    variance = (summary.spread2 + summary.count * summary.log_r95_variance) / count
-    return float(stdtrit(dof, level) * np.sqrt(variance))
+    between = summary.spread2 / count
+    normaliser = summary.log_r95_variance * summary.count / count
+    samples = R95_LOG_VARIANCE / normaliser
+    effective = (between + normaliser) ** 2 / (between**2 / dof + normaliser**2 / samples)
+    return float(stdtrit(effective, level) * np.sqrt(between + normaliser))
 
 
 def upper(summary: Summary, width: float) -> float:
@@ -192,8 +199,7 @@ def percentage_possible(summary: Summary, response: str) -> bool:
     """Whether R95 is at least 4 standard uncertainties and 2 cm (0.3°).
 
     The uncertainty is that of the deviation from the line itself, offset included: a receiver of a metre
-    cannot
-    tell how straight a row was, however smooth its error is.
+    cannot tell how straight a row was, however smooth its error is.
     """
     known = max(summary.u2_range, summary.u2_absolute)
     least = max(LEAST_RANGE_IN_U * float(np.sqrt(known)), LEAST_RANGE[response])

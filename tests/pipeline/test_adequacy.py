@@ -176,7 +176,9 @@ def test_bounds_follow_their_published_formulas() -> None:
     spread2 = 1.0 / (2.0 * 20.0)  # six equal passes: the floor
     variance = spread2 / 6.0 + R95_LOG_VARIANCE / (6 * 15.0)
     width = half_width(summary, 0.95)
-    assert width == pytest.approx(student.ppf(0.95, 4) * np.sqrt(variance))
+    normaliser = R95_LOG_VARIANCE / (6 * 15.0)
+    dof = variance**2 / ((spread2 / 6.0) ** 2 / 4 + normaliser**2 / (6 * 15.0))
+    assert width == pytest.approx(student.ppf(0.95, dof) * np.sqrt(variance))
     hi, lo = mse * np.exp(2.0 * width), mse * np.exp(-2.0 * width)
     top = hi - min(0.8 * u2, hi / 2.0)
     bottom = max(r95**2 - 3.92**2 * 1.25 * u2, r95**2 / 4.0)
@@ -307,13 +309,13 @@ def test_inputs_are_named_when_their_uncertainty_alone_stands_against_a_rejectio
 
 
 def test_the_number_of_passes_that_would_decide_does_decide() -> None:
-    few = campaign(0.095, passes=4)
+    few = campaign(0.115, passes=4)
     verdict = judge_campaign(few)
     assert verdict.value == "inconclusive"
     assert verdict.passes_needed is not None
     assert verdict.passes_needed > 4
-    assert judge_campaign(campaign(0.095, passes=verdict.passes_needed)).value == "adequate"
-    assert judge_campaign(campaign(0.095, passes=verdict.passes_needed - 1)).value == "inconclusive"
+    assert judge_campaign(campaign(0.115, passes=verdict.passes_needed)).value == "adequate"
+    assert judge_campaign(campaign(0.115, passes=verdict.passes_needed - 1)).value == "inconclusive"
 
 
 def test_no_number_of_passes_mends_what_alignment_absorbs() -> None:
