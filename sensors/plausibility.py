@@ -22,6 +22,7 @@ GRID = 0.02  # s
 FARTHEST = 1.0  # s: larger offsets between clocks are not looked for
 ALIKE = 0.8  # correlation from which an offset means something
 OFF = 0.15  # s: a worse offset between two streams is worth telling
+OFF_GNSS = 0.3  # s: nothing that a receiver's unknown latency explains
 DEGREES = 180.0 / np.pi
 UPRIGHT = ((0, 0), (180, 0), (90, 0), (-90, 0), (0, 90), (0, -90))  # roll, pitch
 
@@ -44,7 +45,17 @@ def findings(manifest: Manifest, streams: Mapping[str, Stream]) -> dict[str, Fin
                 found[name] = _joined(_gravity(stream, sensor), _same_body(manifest, streams, name))
             elif isinstance(sensor, Wds):
                 found[name] = _wheel(stream, sensor, manifest.machine, streams)
-    return found
+    return found | _latency(manifest, found)
+
+
+def _latency(manifest: Manifest, found: Mapping[str, Finding]) -> dict[str, Finding]:
+    """The receiver's least latency that makes wheels' spin and speed over ground agree in time."""
+    name, receiver = next(iter(manifest.of_kind("gps").items()))
+    checks = [finding.facts.get("clock_check", {}) for finding in found.values()]
+    late = [c["offset_s"] for c in checks if c.get("against") == "gps" and c["correlation"] > ALIKE]
+    if not late:
+        return {}
+    return {name: Finding({"latency_by_wheels_s": float(receiver.latency - np.median(late))})}
 
 
 def _joined(*parts: Finding) -> Finding:
@@ -108,10 +119,12 @@ def _same_body(manifest: Manifest, streams: Mapping[str, Stream], name: str) -> 
     return _offset(first, "yaw rate", stream.t, mine, reference.t, theirs)
 
 
-def _offset(against: str, of: str, t: Floats, x: Floats, t_ref: Floats, x_ref: Floats) -> Finding:
+def _offset(
+    against: str, of: str, t: Floats, x: Floats, t_ref: Floats, x_ref: Floats, off: float = OFF
+) -> Finding:
     lag, alike = time_offset(t, x, t_ref, x_ref)
     facts = {"clock_check": {"against": against, "by": of, "offset_s": lag, "correlation": alike}}
-    if alike > ALIKE and abs(lag) > OFF:
+    if alike > ALIKE and abs(lag) > off:
         return Finding(facts, (f"its {of} comes {lag:.2f} s after that of {against}: check the clocks",))
     if alike < -ALIKE:
         return Finding(facts, (f"its {of} is opposite to that of {against}: check rotation_deg",))
@@ -183,7 +196,7 @@ def _rolling(t: Floats, spin: Floats, sensor: Wds, machine: Machine, gnss: GnssS
     radius = float(np.median(speed[driving] / turning[driving]))
     tractor = machine.tractor
     stated = tractor.front_wheel_radius if sensor.wheel.startswith("front") else tractor.rear_wheel_radius
-    part = _offset("gps", "spin", t, np.abs(spin), at, speed)
+    part = _offset("gps", "spin", t, np.abs(spin), at, speed, OFF_GNSS)
     return _joined(Finding({"rolling_radius_m": radius}, _radius_hints(radius, stated)), part)
 
 

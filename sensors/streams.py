@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,6 +145,7 @@ class SteerStream:
 
 
 Stream = ImuStream | WheelStream | GnssStream | SteerStream
+AnyStream = TypeVar("AnyStream", ImuStream, WheelStream, GnssStream, SteerStream)
 
 
 @dataclass(frozen=True)
@@ -164,6 +165,6 @@ class FieldLog:
     source: str = ""
     sha256: str = ""
 
-    def of_type(self, kind: type[Stream]) -> dict[str, Stream]:
+    def of_type(self, kind: type[AnyStream]) -> dict[str, AnyStream]:
         """Streams of exactly one class, in the manifest's order."""
         return {name: s for name, s in self.streams.items() if type(s) is kind}

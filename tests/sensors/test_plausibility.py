@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from raw_samples import START, Plan, imu_lines, write_pass
+from raw_samples import MANIFEST, START, Plan, imu_lines, write_pass
 from scipy.spatial.transform import Rotation
+from smts_validate.sensors import manifest
 from smts_validate.sensors.health import health_of
 from smts_validate.sensors.ingest import read_pass
-from smts_validate.sensors.plausibility import best_upright, time_offset
+from smts_validate.sensors.plausibility import best_upright, findings, time_offset
+from smts_validate.sensors.streams import GnssStream, WheelStream
 
 HEADER = "t_host_ns,t_dev_us,seq,ax,ay,az,gx,gy,gz"
 
@@ -96,6 +98,21 @@ def wheel_pass(tmp_path: Path, spin_of: object) -> Path:
 
     rewritten(folder, turned, "wds1.csv")
     return folder
+
+
+def test_the_receivers_latency_is_seen_in_wheels_that_speed_up(tmp_path: Path) -> None:
+    """The machine of the samples never changes its speed, so speed and spin are written here."""
+    t = np.arange(0.0, 40.0, 0.01)
+    speed = 2.5 * (1.0 - np.exp(-t / 4.0)) + 0.3 * np.sin(t)
+    zeros, utc = np.zeros((t.size, 3)), t[::10]
+    spin = np.column_stack([0 * t, speed / 0.8, 0 * t])
+    wheel = WheelStream("wds1", t + 0.037, t + 0.05, zeros + 1.0, spin)
+    arrays = dict.fromkeys(GnssStream.ARRAYS, np.zeros(utc.size)) | {"speed": speed[::10]}
+    gnss = GnssStream("gps", utc, utc + 0.1, **arrays)
+    run = manifest.parse(MANIFEST.format(id="x", imd1="", rest=WHEEL))
+    found = findings(run, {"wds1": wheel, "gps": gnss})
+    assert found["gps"].facts["latency_by_wheels_s"] == pytest.approx(0.1 - 0.037, abs=0.003)
+    assert found["wds1"].hints == ()
 
 
 def spin_about(axis: int, rate: float) -> object:
