@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .campaign import PassRecord, read_record
+from .campaign import read_record
 from .report import write_pages
-from .report_campaign_parts import CampaignView, parts_of
+from .report_campaign_parts import CampaignView, drawn_cells, drawn_runs, parts_of
 from .report_head import Head, Number
 from .result import package_version
 from .sections._common import deep, interval, percent, sentence
@@ -49,14 +49,13 @@ def read_campaign(folder: Path) -> CampaignView:
     document = json.loads((folder / "campaign.json").read_text(encoding="utf-8"))
     failures = folder / "failures.json"
     failed = json.loads(failures.read_text(encoding="utf-8"))["failures"] if failures.is_file() else []
-    records = {
-        str(entry["run"]): read_record(folder / "passes" / str(entry["run"])) for entry in document["passes"]
-    }
+    drawn = [run for cell in drawn_cells(document) for run in drawn_runs(cell)]
+    records = {run: read_record(folder / "passes" / run) for run in drawn}
     return CampaignView(document, records, tuple(failed))
 
 
 def date_of(view: CampaignView) -> dt.date:
-    """The last pass's day: the same campaign gives the same bytes."""
+    """The last drawn pass's day: the same campaign gives the same bytes."""
     return max((record.manifest.run.date for record in view.records.values()), default=dt.date(1970, 1, 1))
 
 
@@ -67,7 +66,7 @@ def head_of(view: CampaignView) -> Head:
     value = str(deep(document, "verdict", "value"))
     return Head(
         title=f"Adequacy report: {title}",
-        tested=_tested(list(view.records.values())),
+        tested=_tested(document.get("passes") or []),
         verdict=value,
         verdict_label="Verdict on the model, scope: campaign",
         meaning=MEANINGS.get(value, ""),
@@ -79,17 +78,16 @@ def head_of(view: CampaignView) -> Head:
     )
 
 
-def _tested(records: Sequence[PassRecord]) -> str:
-    def count(values: Sequence[Any], one: str, many: str) -> str:
-        number = len(set(values))
+def _tested(passes: Sequence[Mapping[str, Any]]) -> str:
+    def count(key: str, one: str, many: str) -> str:
+        number = len({entry[key] for entry in passes})
         return f"{number} {one if number == 1 else many}"
 
-    runs = [record.manifest.run for record in records]
     parts = (
-        count([run.id for run in runs], "pass", "passes"),
-        count([run.field for run in runs], "field", "fields"),
-        count([run.direction for run in runs], "direction", "directions"),
-        count([run.variant for run in runs], "version of the parameters", "versions of the parameters"),
+        count("run", "pass", "passes"),
+        count("field", "field", "fields"),
+        count("direction", "direction", "directions"),
+        count("variant", "version of the parameters", "versions of the parameters"),
     )
     return ", ".join(parts) + "."
 

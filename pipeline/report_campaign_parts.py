@@ -36,7 +36,7 @@ CURVE = (
 
 @dataclass(frozen=True)
 class CampaignView:
-    """A campaign as stored: campaign.json, the passes' records by run, and what failed."""
+    """A campaign as stored: campaign.json, the records of the passes that are drawn, and what failed."""
 
     document: Mapping[str, Any]
     records: Mapping[str, PassRecord]
@@ -189,43 +189,48 @@ def _scatter(view: CampaignView, listed: Sequence[Mapping[str, Any]]) -> tuple[C
 
 def repeats(view: CampaignView) -> Section:
     """Repeats of each cell drawn over one another: what the field itself scatters."""
-    cells = [c for c in view.document.get("cells") or [] if any(_tracks(view, c))]
-    if not cells:
-        return Section(
-            "repeats", "Repeats", (Missing("No pass holds a compared row, so there is nothing to draw."),)
-        )
-    charts = tuple(_overlay(view, index, cell) for index, cell in enumerate(cells[:MOST_CELLS]))
-    left = len(cells) - len(charts)
+    charts = tuple(_overlay(view, index, cell) for index, cell in enumerate(drawn_cells(view.document)))
+    if not charts:
+        words = "No pass holds a compared row, so there is nothing to draw."
+        return Section("repeats", "Repeats", (Missing(words),))
+    left = len(view.document.get("cells") or []) - len(charts)
     more = (
         (Text(f"{left} more cells are not drawn; their passes' own reports show them."),) if left > 0 else ()
     )
     return Section("repeats", "Repeats", (*charts, *more))
 
 
-def _tracks(view: CampaignView, cell: Mapping[str, Any]) -> list[tuple[str, PassRecord]]:
-    found = [(run, view.records[run]) for run in cell["passes"] if run in view.records]
-    return [(run, record) for run, record in found if record.tracks]
+def drawn_cells(document: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
+    """The cells whose repeats are drawn: the first few that hold a pass."""
+    return tuple(cell for cell in document.get("cells") or [] if cell["passes"])[:MOST_CELLS]
+
+
+def drawn_runs(cell: Mapping[str, Any]) -> tuple[str, ...]:
+    """The repeats of a cell that are drawn, as many as there are colours to tell them apart."""
+    return tuple(cell["passes"][: len(ROLES)])
 
 
 def _overlay(view: CampaignView, index: int, cell: Mapping[str, Any]) -> Chart:
-    members = _tracks(view, cell)
-    responses = [r for r in ("deviation1", "deviation2") if any(r in record.tracks for _, record in members)]
+    members = [(run, view.records[run].tracks) for run in drawn_runs(cell)]
     panels = []
-    for response in responses:
-        curves = [
-            Curve(run, ROLES[i % len(ROLES)], track.s, 100.0 * track.measured)
-            for i, (run, record) in enumerate(members)
-            if (track := record.tracks.get(response)) is not None
-        ]
-        panels.append(Panel(f"{RESPONSES[response].split(', ')[1]}, cm", tuple(curves)))
+    for response in ("deviation1", "deviation2"):
+        curves = tuple(
+            Curve(run, role, tracks[response].s, 100.0 * tracks[response].measured)
+            for role, (run, tracks) in zip(ROLES, members, strict=False)
+            if response in tracks
+        )
+        if curves:
+            panels.append(Panel(f"{RESPONSES[response].split(', ')[1]}, cm", curves))
     name = ", ".join(str(cell[key]) for key in ("field", "direction") if cell[key])
     version = f", version {cell['variant']}" if cell["variant"] else ""
+    left = len(cell["passes"]) - len(members)
     return Chart(
         key=f"repeats-{index}",
         title=f"Repeats: {name or 'one cell'}{version}",
         x_label="distance along the row, m",
         panels=tuple(panels),
-        caption="Measured deviation from the line of each pass's first row, from where it begins.",
+        caption="Measured deviation from the line of each pass's first row, from where it begins."
+        + (f" {left} more repeats are not drawn." if left > 0 else ""),
         alt=f"Measured deviation of {len(members)} repeats over distance, one over another.",
     )
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from smts_validate.pipeline.campaign import read_record, summarise_campaign
+from smts_validate.pipeline.campaign_settings import CampaignSettings
 from smts_validate.pipeline.fusion.motion import BodyMotion, Motion, Origin, SteerInput
-from smts_validate.pipeline.result import PassResult
+from smts_validate.pipeline.result import PassResult, dump_json, write_result
 from smts_validate.sensors import manifest as manifests
 
 Floats = NDArray[np.float64]
@@ -288,3 +292,31 @@ def pass_result(seeder: bool = True, seconds: float = 60.0) -> PassResult:
         manifest=manifests.parse(text), manifest_text=text, motion=fused, rows=rows(fused.t.size),
         simulated=model, metrics=metrics(seeder=seeder), comparison=comparison(fused, model),
     )  # fmt: skip
+
+
+RUNS = {"a-east-1": ("east", 1), "a-east-2": ("east", 2), "a-west-1": ("west", 1), "a-west-2": ("west", 2)}
+
+
+def campaign_pass(run: str, direction: str, repeat: int) -> PassResult:
+    text = toml().replace('id = "sample-1"', f'id = "{run}"')
+    text = text.replace('direction = "east"', f'direction = "{direction}"').replace(
+        "repeat = 2", f"repeat = {repeat}"
+    )
+    made = pass_result()
+    return replace(
+        made, manifest=manifests.parse(text), manifest_text=text, metrics=metrics(run),
+        simulated=simulated(made.motion, 1.0 + 0.02 * repeat),
+    )  # fmt: skip
+
+
+def campaign_folder(folder: Path) -> Path:
+    """A batch's OUT of four passes, one left out, one failed; without its reports."""
+    for run, (direction, repeat) in RUNS.items():
+        write_result(folder / "passes" / run, campaign_pass(run, direction, repeat))
+    settings = CampaignSettings(title="Spring <i>trials</i>", exclude={"a-west-2": "flat <b>tyre</b>"})
+    records = [read_record(folder / "passes" / run) for run in RUNS]
+    document = summarise_campaign(records, settings).document
+    (folder / "campaign.json").write_text(dump_json(document), encoding="utf-8")
+    failure = {"run": "a-east-9", "reason": "gps.nmea: no position in it"}
+    (folder / "failures.json").write_text(json.dumps({"schema": 1, "failures": [failure]}), encoding="utf-8")
+    return folder

@@ -254,6 +254,12 @@ def test_pdf_is_numbered_has_the_verdict_and_no_pixels(out: Path) -> None:
     assert document.metadata.title == "Adequacy report: sample-1"
 
 
+def test_pdf_has_bookmarks_for_its_sections(out: Path) -> None:
+    document = pypdf.PdfReader(out / "report.pdf")
+    titles = [str(item.title) for item in document.outline if not isinstance(item, list)]
+    assert titles == [section.title for section in report.sections_of(read_result(out))]
+
+
 def test_uplot_is_found_without_importing_its_package(html: str) -> None:
     assert "uPlot.js (μPlot)" in html
     assert "uplot" not in sys.modules

@@ -16,6 +16,8 @@ import report_samples as samples
 from playwright.sync_api import Browser, Page, sync_playwright
 from smts_validate.pipeline import report
 from smts_validate.pipeline.report_blocks import charts_of
+from smts_validate.pipeline.report_campaign import write_campaign_report
+from smts_validate.pipeline.report_campaign_parts import parts_of
 from smts_validate.pipeline.result import read_result, write_result
 
 FOUND = [path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))]
@@ -70,6 +72,20 @@ def opened(browser: Browser, out: Path) -> Iterator[Opener]:
     yield start
     for context in contexts:
         context.close()
+
+
+def test_campaigns_report_draws_too_and_leads_to_its_passes(opened: Opener, tmp_path: Path) -> None:
+    folder = samples.campaign_folder(tmp_path / "out")
+    charts = charts_of(parts_of(write_campaign_report(folder)))
+    report.finish(folder / "passes" / "a-east-1")
+    found = opened(folder / "report.html")
+    assert found.page.evaluate("document.documentElement.dataset.charts") == str(len(charts))
+    for chart in charts:
+        assert found.page.locator(f"#figure-{chart.key} canvas").first.evaluate(INK) > 500, chart.key
+    found.page.get_by_role("link", name="a-east-1").click()
+    assert found.page.title() == "Adequacy report: a-east-1"
+    assert found.messages == []
+    assert [url for url in found.requests if not url.startswith(("file:", "data:"))] == []
 
 
 def _interactive(out: Path) -> list[str]:

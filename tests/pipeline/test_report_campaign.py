@@ -2,46 +2,21 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import report_samples as samples
-from smts_validate.pipeline import report_campaign, result
-from smts_validate.pipeline.campaign import read_record, summarise_campaign
-from smts_validate.pipeline.campaign_settings import CampaignSettings
+from smts_validate.pipeline import report_campaign
+from smts_validate.pipeline.campaign import summarise_campaign
 from smts_validate.pipeline.remake import Exports, remake
 from smts_validate.pipeline.report_blocks import Missing, Section, charts_of, tables_of
 from smts_validate.pipeline.report_campaign_parts import CampaignView, parts_of
-from smts_validate.sensors import manifest as manifests
-
-RUNS = {"a-east-1": ("east", 1), "a-east-2": ("east", 2), "a-west-1": ("west", 1), "a-west-2": ("west", 2)}
-
-
-def _pass(run: str, direction: str, repeat: int) -> result.PassResult:
-    text = samples.toml().replace('id = "sample-1"', f'id = "{run}"')
-    text = text.replace('direction = "east"', f'direction = "{direction}"').replace(
-        "repeat = 2", f"repeat = {repeat}"
-    )
-    made = samples.pass_result()
-    return replace(
-        made, manifest=manifests.parse(text), manifest_text=text, metrics=samples.metrics(run),
-        simulated=samples.simulated(made.motion, 1.0 + 0.02 * repeat),
-    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("campaign") / "out"
-    for run, (direction, repeat) in RUNS.items():
-        result.write_result(folder / "passes" / run, _pass(run, direction, repeat))
-    settings = CampaignSettings(title="Spring <i>trials</i>", exclude={"a-west-2": "flat <b>tyre</b>"})
-    records = [read_record(folder / "passes" / run) for run in RUNS]
-    (folder / "campaign.json").write_text(result.dump_json(summarise_campaign(records, settings).document))
-    failure = {"run": "a-east-9", "reason": "gps.nmea: no position in it"}
-    (folder / "failures.json").write_text(json.dumps({"schema": 1, "failures": [failure]}))
+    folder = samples.campaign_folder(tmp_path_factory.mktemp("campaign") / "out")
     report_campaign.write_campaign_report(folder)
     return folder
 
@@ -62,8 +37,8 @@ def _cells(section: Section) -> list[tuple[str, ...]]:
 
 def test_every_pass_is_a_line_that_links_to_its_own_report(parts: dict[str, Section]) -> None:
     (table,) = tables_of((parts["passes"],))
-    assert [row[0] for row in table.rows] == list(RUNS)
-    assert table.links == tuple(f"passes/{run}/report.html" for run in RUNS)
+    assert [row[0] for row in table.rows] == list(samples.RUNS)
+    assert table.links == tuple(f"passes/{run}/report.html" for run in samples.RUNS)
 
 
 def test_repeats_of_a_cell_are_drawn_over_one_another(parts: dict[str, Section]) -> None:
@@ -111,5 +86,5 @@ def test_report_comes_again_with_exports(out: Path) -> None:
     assert remake(out, Exports(tables=("csv", "tex"))) == out / "report.html"
     assert (out / "report.pdf").read_bytes() == before
     passes = (out / "tables" / "passes.csv").read_text(encoding="utf-8").splitlines()
-    assert len(passes) == 1 + len(RUNS)
+    assert len(passes) == 1 + len(samples.RUNS)
     assert (out / "passes" / "a-east-1" / "tables" / "companions.tex").is_file()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -114,6 +115,15 @@ def test_evo_computes_the_error_that_the_tables_hold(written: tuple[Path, PassVi
     error = np.hypot(t["x1"] - s["x1"], t["y1"] - s["y1"])
     assert float(told["rmse"]) == pytest.approx(np.sqrt(np.nanmean(error**2)), abs=1e-6)
     assert float(told["max"]) == pytest.approx(np.nanmax(error), abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rerun", [path for path in (shutil.which("rerun"),) if path])
+def test_rerun_finds_nothing_wrong_where_it_is_installed(written: tuple[Path, PassView], rerun: str) -> None:
+    done = subprocess.run(
+        [rerun, "mcap", "check", str(written[0])], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_tractor_alone_writes_no_seeder(tmp_path: Path) -> None:
