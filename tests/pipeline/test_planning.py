@@ -44,6 +44,7 @@ def _pilot(reading: float, scatter: float = 0.0, measuring: float = 0.01) -> Pas
             r95=r95,
             u2=(measuring * r95) ** 2,
             u2_range=(measuring * r95) ** 2,
+            u2_absolute=(measuring * r95) ** 2,
             u2_input=(measuring * r95) ** 2,
             n_eff=60.0,
             n_eff_range=60.0,
