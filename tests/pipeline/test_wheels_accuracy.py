@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from smts_validate.sensors.streams import WheelStream
 from wheel_samples import FINE, RADIUS, RATE, START, scene, weaving
 
 DEG = np.pi / 180.0
+EXAMPLE = Path(__file__).resolve().parents[3] / "shared" / "examples" / "visible"
 
 
 def figures(level: float, seeds: range) -> dict[str, list[tuple[float, float]]]:
@@ -106,3 +108,20 @@ def test_steering_of_synthetic_passes_is_true_to_its_stated_walk(tmp_path):
             spreads += [np.var(part) for part in np.array_split(error, 5)]
     assert np.sqrt(np.mean(spreads)) < 0.03 * DEG
     assert 0.5 < np.sqrt(np.mean(ratios)) < 1.4
+
+
+@pytest.mark.skipif(not EXAMPLE.is_dir(), reason="the shared example is not beside the checkout")
+def test_steering_of_the_shared_example_is_true_within_ten_seconds():
+    from smts_validate.pipeline.wheels import choose_steer_input
+    from smts_validate.sensors.ingest import read_pass
+
+    log = read_pass(EXAMPLE / "raw" / "visible-1")
+    truth = np.genfromtxt(EXAMPLE / "truth.csv", delimiter=",", names=True)
+    grid = np.arange(truth["t"][0] + 3.0, truth["t"][-1] - 1.0, 0.02)
+    found = choose_steer_input(log, grid)
+    assert found is not None
+    assert found.source == "wheels"
+    shifts = np.arange(-0.15, 0.15, 0.002)
+    error = min((found.angle - np.interp(grid + s, truth["t"], truth["steer"]) for s in shifts), key=np.var)
+    assert np.sqrt(np.mean([np.var(part) for part in np.array_split(error, 4)])) < 0.04 * DEG
+    assert np.std(error) < 3.0 * np.median(found.sd)
