@@ -11,19 +11,21 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .engine_compiled import Filtered
-from .filtering import PATTERN, unpack
-from .kernels import process_noise, transition
+from .filtering import unpack
+from .kernels import PATTERN, process_noise, transition
 from .prepare import STEP
 from .problem import Problem
 from .state import EX, EY, FX, FY, SIZE
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 EVERY = 5  # nodes between draws' instants: 10 Hz
 
 
 @njit(cache=True, error_model="numpy")
-def _step(F, d, out):  # type: ignore[no-untyped-def]
+def _step(F: Floats, d: Floats, out: Floats) -> None:
     """F·d for the columns of d (SIZE, K), skipping structural zeros."""
     for i in range(SIZE):
         for c in range(d.shape[1]):
@@ -36,7 +38,7 @@ def _step(F, d, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _adjoint_step(F, lam, out):  # type: ignore[no-untyped-def]
+def _adjoint_step(F: Floats, lam: Floats, out: Floats) -> None:
     """Fᵀ·lambda for the columns of lambda (SIZE, K)."""
     for i in range(SIZE):
         for c in range(lam.shape[1]):
@@ -49,7 +51,7 @@ def _adjoint_step(F, lam, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _add_noise(row, variance, rng):  # type: ignore[no-untyped-def]
+def _add_noise(row: Floats, variance: float, rng: np.random.Generator) -> None:
     """Independent normal noise of one variance added to a row, in place."""
     if variance > 0.0:
         sd = np.sqrt(variance)
@@ -58,7 +60,7 @@ def _add_noise(row, variance, rng):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _copy(a, out):  # type: ignore[no-untyped-def]
+def _copy(a: Floats, out: Floats) -> None:
     """A matrix into another."""
     for i in range(a.shape[0]):
         for c in range(a.shape[1]):
@@ -66,7 +68,7 @@ def _copy(a, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _add_product(P, lam, out):  # type: ignore[no-untyped-def]
+def _add_product(P: Floats, lam: Floats, out: Floats) -> None:
     """P·lambda added to `out`, (SIZE, K)."""
     for i in range(SIZE):
         for j in range(SIZE):
@@ -75,7 +77,23 @@ def _add_product(P, lam, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _simulate(P0, u, dt, starts, var, inject, p, lin, H, K, used, rng, gap, error, nu):  # type: ignore[no-untyped-def]
+def _simulate(
+    P0: Floats,
+    u: Floats,
+    dt: float,
+    starts: Ints,
+    var: Floats,
+    inject: Floats,
+    p: Floats,
+    lin: Floats,
+    H: Floats,
+    K: Floats,
+    used: Bools,
+    rng: np.random.Generator,
+    gap: int,
+    error: Floats,
+    nu: Floats,
+) -> None:
     """Forward: simulated error less its filter estimate at nodes (every EVERY-th kept), innovations of all draws."""
     draws = nu.shape[1]
     d, ahead = np.empty((SIZE, draws)), np.empty((SIZE, draws))
@@ -114,7 +132,21 @@ def _simulate(P0, u, dt, starts, var, inject, p, lin, H, K, used, rng, gap, erro
 
 
 @njit(cache=True, error_model="numpy")
-def _smooth(u, dt, starts, p, lin, packed, H, K, S, used, gap, error, nu):  # type: ignore[no-untyped-def]
+def _smooth(
+    u: Floats,
+    dt: float,
+    starts: Ints,
+    p: Floats,
+    lin: Floats,
+    packed: Floats,
+    H: Floats,
+    K: Floats,
+    S: Floats,
+    used: Bools,
+    gap: int,
+    error: Floats,
+    nu: Floats,
+) -> None:
     """Backward: turn filter errors into smoother errors, error + P·lambda, in place at the kept nodes."""
     draws = nu.shape[1]
     lam, out = np.zeros((SIZE, draws)), np.empty((SIZE, draws))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from .kernels import GATE_1, GATE_2, PATTERN, predict, process_noise, transition
 from .state import EX, EY, FX, FY, HITCH, KEPT, PAIRED, SIZE, STILL_AX, STILL_V
@@ -16,9 +17,13 @@ from .state import EX, EY, FX, FY, HITCH, KEPT, PAIRED, SIZE, STILL_AX, STILL_V
 KEEP = np.array(KEPT, dtype=np.int64)
 PAIRS = np.array(PAIRED, dtype=np.int64)
 
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
 
 @njit(cache=True, error_model="numpy")
-def propagate(P, F, q):  # type: ignore[no-untyped-def]
+def propagate(P: Floats, F: Floats, q: Floats) -> None:
     """F·P·Fᵀ + diag(q) in place, skipping the structural zeros of F."""
     n = SIZE
     A = np.empty((n, n))
@@ -44,7 +49,7 @@ def propagate(P, F, q):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def carry(F, x, point, there):  # type: ignore[no-untyped-def]
+def carry(F: Floats, x: Floats, point: Floats, there: Floats) -> None:
     """F·(x − point) added to `there` in place, skipping the structural zeros of F."""
     for i in range(SIZE):
         there[i] += F[i, i] * (x[i] - point[i])
@@ -54,7 +59,7 @@ def carry(F, x, point, there):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def gain(P, H, var, K):  # type: ignore[no-untyped-def]
+def gain(P: Floats, H: Floats, var: float, K: Floats) -> float:
     """Innovation variance S = H·P·Hᵀ + var and gain K = P·Hᵀ/S of a scalar measurement."""
     n = SIZE
     K[:] = 0.0
@@ -73,7 +78,7 @@ def gain(P, H, var, K):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def correct(x, P, K, S, innovation):  # type: ignore[no-untyped-def]
+def correct(x: Floats, P: Floats, K: Floats, S: float, innovation: float) -> None:
     """x + K·innovation and P − K·S·Kᵀ in place, kept symmetric."""
     n = SIZE
     for i in range(n):
@@ -84,7 +89,7 @@ def correct(x, P, K, S, innovation):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def expected(kind, x, point, node, ahead, p, H):  # type: ignore[no-untyped-def]
+def expected(kind: int, x: Floats, point: Floats, node: Floats, ahead: float, p: Floats, H: Floats) -> float:
     """h(point) + H·(x − point): the measurement expected at x, linearised at `point`; fills H."""
     value = predict(kind, point, node, ahead, p, H)
     for i in range(SIZE):
@@ -94,7 +99,7 @@ def expected(kind, x, point, node, ahead, p, H):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def shared(P, H, a, b):  # type: ignore[no-untyped-def]
+def shared(P: Floats, H: Floats, a: int, b: int) -> float:
     """Row a of H times P times row b."""
     total = 0.0
     for i in range(SIZE):
@@ -105,7 +110,7 @@ def shared(P, H, a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def distance(P, H, nu, var, m, count):  # type: ignore[no-untyped-def]
+def distance(P: Floats, H: Floats, nu: Floats, var: Floats, m: int, count: int) -> float:
     """Squared Mahalanobis distance of one or two scalar innovations from one linearisation (rows of H).
 
     var[m], var[m + 1]: their own variances
@@ -118,7 +123,7 @@ def distance(P, H, nu, var, m, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def is_pair(kind):  # type: ignore[no-untyped-def]
+def is_pair(kind: int) -> bool:
     """Whether this kind is the first of an east-north pair."""
     found = False
     for e in range(PAIRS.size):
@@ -127,7 +132,7 @@ def is_pair(kind):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def is_given(kind):  # type: ignore[no-untyped-def]
+def is_given(kind: int) -> bool:
     """Whether this kind is mechanics, not a reading: the hitch and standing still have no outliers to refuse.
 
     Refusing them would leave the seeder's yaw where a bad start put it.
@@ -136,7 +141,26 @@ def is_given(kind):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def update_node(x, P, lin, linear, node, kinds, z, var, ahead, p, first, last, H, K, S, nu, used, store):  # type: ignore[no-untyped-def]
+def update_node(
+    x: Floats,
+    P: Floats,
+    lin: Floats,
+    linear: bool,
+    node: Floats,
+    kinds: Ints,
+    z: Floats,
+    var: Floats,
+    ahead: Floats,
+    p: Floats,
+    first: int,
+    last: int,
+    H: Floats,
+    K: Floats,
+    S: Floats,
+    nu: Floats,
+    used: Bools,
+    store: bool,
+) -> float:
     """All measurements of one node, in order; returns the Gaussian log-likelihood of those that pass the gate.
 
     Both of a pair are linearised at one point and judged together; the second's innovation is then what the
@@ -174,7 +198,7 @@ def update_node(x, P, lin, linear, node, kinds, z, var, ahead, p, first, last, H
 
 
 @njit(cache=True, error_model="numpy")
-def pack(P, row):  # type: ignore[no-untyped-def]
+def pack(P: Floats, row: Floats) -> None:
     """Lower triangle of a symmetric matrix into a row."""
     e = 0
     for i in range(SIZE):
@@ -184,7 +208,7 @@ def pack(P, row):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def unpack(row, P):  # type: ignore[no-untyped-def]
+def unpack(row: Floats, P: Floats) -> None:
     """The symmetric matrix whose lower triangle `pack` wrote."""
     e = 0
     for i in range(SIZE):
@@ -196,29 +220,29 @@ def unpack(row, P):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def forward(
-    x0,
-    P0,
-    u,
-    nodes,
-    dt,
-    kinds,
-    starts,
-    z,
-    var,
-    ahead,
-    inject,
-    p,
-    lin,
-    linear,
-    out_x,
-    out_P,
-    H,
-    K,
-    S,
-    nu,
-    used,
-    store,
-):  # type: ignore[no-untyped-def]
+    x0: Floats,
+    P0: Floats,
+    u: Floats,
+    nodes: Floats,
+    dt: float,
+    kinds: Ints,
+    starts: Ints,
+    z: Floats,
+    var: Floats,
+    ahead: Floats,
+    inject: Floats,
+    p: Floats,
+    lin: Floats,
+    linear: bool,
+    out_x: Floats,
+    out_P: Floats,
+    H: Floats,
+    K: Floats,
+    S: Floats,
+    nu: Floats,
+    used: Bools,
+    store: bool,
+) -> float:
     """Filter all nodes; returns the log-likelihood. With `linear` everything is linearised at `lin` (N, SIZE)."""
     x, P = x0.copy(), P0.copy()
     F = np.eye(SIZE)
@@ -249,7 +273,7 @@ def forward(
 
 
 @njit(cache=True, error_model="numpy")
-def absorb(lam, Lam, H, K, S, nu):  # type: ignore[no-untyped-def]
+def absorb(lam: Floats, Lam: Floats, H: Floats, K: Floats, S: float, nu: float) -> None:
     """Adjoint state and covariance back through one scalar update: (I − KH)ᵀ on both sides, plus HᵀH/S."""
     n = SIZE
     LK = np.zeros(n)
@@ -275,7 +299,7 @@ def absorb(lam, Lam, H, K, S, nu):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def retreat(lam, Lam, F):  # type: ignore[no-untyped-def]
+def retreat(lam: Floats, Lam: Floats, F: Floats) -> None:
     """Adjoint state and covariance back through one step: Fᵀ·lambda and Fᵀ·Lambda·F."""
     n = SIZE
     a = np.empty(n)
@@ -302,7 +326,7 @@ def retreat(lam, Lam, F):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def kept_covariance(P, Lam, out):  # type: ignore[no-untyped-def]
+def kept_covariance(P: Floats, Lam: Floats, out: Floats) -> None:
     """Rows and columns KEEP of P − P·Lambda·P."""
     n, k = SIZE, KEEP.size
     A = np.zeros((k, n))
@@ -323,7 +347,22 @@ def kept_covariance(P, Lam, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def backward(u, dt, starts, p, lin, out_x, out_P, H, K, S, nu, used, smooth_x, smooth_P):  # type: ignore[no-untyped-def]
+def backward(
+    u: Floats,
+    dt: float,
+    starts: Ints,
+    p: Floats,
+    lin: Floats,
+    out_x: Floats,
+    out_P: Floats,
+    H: Floats,
+    K: Floats,
+    S: Floats,
+    nu: Floats,
+    used: Bools,
+    smooth_x: Floats,
+    smooth_P: Floats,
+) -> None:
     """Modified Bryson-Frazier smoother over stored filter results; `lin` (N, SIZE) is where F was taken.
 
     Fills smooth_x (N, SIZE) and smooth_P (N, kept, kept).

@@ -58,8 +58,8 @@ def likelihood_of(known: Known, options: FusionSettings, path: Floats) -> Callab
     """Likelihood of levels over the part of the pass with most motion, starting from the smoothed path there."""
     moving = np.concatenate([[0], np.cumsum(~known.still)])
     last = max(known.t.size - TUNED, 0)
-    starts = np.arange(0, last + 1, 500)
-    first = int(max(starts, key=lambda k: moving[min(k + TUNED, known.t.size)] - moving[k]))
+    starts = range(0, last + 1, 500)
+    first = max(starts, key=lambda k: int(moving[min(k + TUNED, known.t.size)] - moving[k]))
     lag = float(path[-1, s.LAG])
 
     def likelihood(levels: Levels) -> float:

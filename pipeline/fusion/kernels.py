@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from ...sensors.manifest import GRAVITY
 from .settings import BEND_FROM, DRAG, TAU_TURN, TURN_FROM
@@ -109,9 +110,11 @@ GAP_ACCEL = 1.0  # m/s²
 GATE_2 = 18.42  # χ² with 2 degrees of freedom at 1e-4
 GATE_1 = 15.14  # χ² with 1 degree of freedom at 1e-4
 
+Floats = NDArray[np.float64]
+
 
 @njit(cache=True, error_model="numpy")
-def fade(x, dt, p, F, out):  # type: ignore[no-untyped-def]
+def fade(x: Floats, dt: float, p: Floats, F: Floats, out: Floats) -> None:
     """Gauss-Markov components after one step, into `out`, and their factors, on the diagonal of F."""
     slip, bend, slow = math.exp(-dt / p[P_TAU_SLIP]), math.exp(-dt / TAU_TURN), math.exp(-dt / p[P_TAU_E])
     for i in (SLIP1, SLIP2):
@@ -126,7 +129,7 @@ def fade(x, dt, p, F, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def transition(x, u, dt, p, F):  # type: ignore[no-untyped-def]
+def transition(x: Floats, u: Floats, dt: float, p: Floats, F: Floats) -> Floats:
     """State after one step and its Jacobian, written into F (which holds the identity outside its pattern).
 
     Strapdown kinematics of the tractor's rear axle, gyros and accelerometers as inputs:
@@ -188,7 +191,7 @@ PATTERN = np.array(
 
 
 @njit(cache=True, error_model="numpy")
-def process_noise(x, u, dt, p, q):  # type: ignore[no-untyped-def]
+def process_noise(x: Floats, u: Floats, dt: float, p: Floats, q: Floats) -> None:
     """Variances added by one step, into q (SIZE,): Gauss-Markov drives, gyro and accelerometer noise, holes."""
     q[:] = 0.0
     speed = max(abs(x[V]), SLOWEST)
@@ -219,7 +222,9 @@ def process_noise(x, u, dt, p, q):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def antenna_offset(roll, pitch, ax, ay, az):  # type: ignore[no-untyped-def]
+def antenna_offset(
+    roll: float, pitch: float, ax: float, ay: float, az: float
+) -> tuple[float, float, float, float, float]:
     """Horizontal place of a point of the tilted body, Ry(pitch)·Rx(roll)·(ax, ay, az), and its derivatives.
 
     Returns forward, left, d left/d roll, d forward/d roll, d forward/d pitch (left does not depend on pitch).
@@ -233,7 +238,7 @@ def antenna_offset(roll, pitch, ax, ay, az):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def predict_position(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
+def predict_position(kind: int, x: Floats, node: Floats, ahead: float, p: Floats, H: Floats) -> float:
     """East or north of the tractor's antenna `ahead` + LAG seconds after the node; fills H."""
     north = (kind & 1) if kind < THIRD_X else kind - THIRD_X
     third = kind >= THIRD_X
@@ -269,7 +274,7 @@ def predict_position(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, error_model="numpy")
-def predict_velocity(kind, x, node, p, H):  # type: ignore[no-untyped-def]
+def predict_velocity(kind: int, x: Floats, node: Floats, p: Floats, H: Floats) -> float:
     """East or north velocity of the tractor's antenna at the node; fills H."""
     wz = (node[U_WZ] - x[BGZ]) * (1.0 - x[SCALE1])
     roll_rate, pitch_rate = node[U_WX] - x[BGX], node[U_WY] - x[BGY]
@@ -292,7 +297,7 @@ def predict_velocity(kind, x, node, p, H):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def predict_second(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
+def predict_second(kind: int, x: Floats, node: Floats, ahead: float, p: Floats, H: Floats) -> float:
     """East or north of an antenna on the seeder; fills H."""
     dt = ahead + x[LAG]
     w1 = (node[U_WZ] - x[BGZ]) * (1.0 - x[SCALE1])
@@ -322,7 +327,7 @@ def predict_second(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def predict_hitch(x, node, p, H):  # type: ignore[no-untyped-def]
+def predict_hitch(x: Floats, node: Floats, p: Floats, H: Floats) -> float:
     """Lateral velocity at the seeder's axle less its slip: zero, for the hitch is rigid; fills H.
 
     The gyros' scale errors stay out: here they are less than slip, and slip that turns the seeder would pass for them.
@@ -341,7 +346,7 @@ def predict_hitch(x, node, p, H):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def predict_lateral(x, node, H):  # type: ignore[no-untyped-def]
+def predict_lateral(x: Floats, node: Floats, H: Floats) -> float:
     """Lateral specific force at the rear axle that the motion and the tilt explain; fills H.
 
     f_y = a_left/cos roll + f_z tan roll with a_left = V·yaw': what is left over is vibration.
@@ -356,7 +361,7 @@ def predict_lateral(x, node, H):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def predict(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
+def predict(kind: int, x: Floats, node: Floats, ahead: float, p: Floats, H: Floats) -> float:
     """Expected value of one scalar measurement and its row H (SIZE,)."""
     if kind <= FLOAT_X + 1 or THIRD_X <= kind <= THIRD_X + 1:
         return predict_position(kind, x, node, ahead, p, H)
@@ -387,7 +392,7 @@ def predict(kind, x, node, ahead, p, H):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _still(kind):  # type: ignore[no-untyped-def]
+def _still(kind: int) -> int:
     """State that a standing machine or the ground's slope shows directly."""
     if kind == STILL_V:
         return V

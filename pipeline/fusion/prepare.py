@@ -62,7 +62,7 @@ def grid(log: FieldLog) -> Floats:
     spans = [
         (s.t[0], s.t[-1])
         for name, s in log.of_type(ImuStream).items()
-        if log.manifest.sensors[name].body == "tractor"
+        if log.manifest.of_kind("imd")[name].body == "tractor"
     ]
     first = math.ceil(min(a for a, _ in spans) / STEP + 1.0)
     last = math.floor(max(b for _, b in spans) / STEP - 1.0)
@@ -156,7 +156,7 @@ def body_inputs(
     """
     units, levers, noise = [], [], {}
     for name, stream in log.of_type(ImuStream).items():
-        sensor = log.manifest.sensors[name]
+        sensor = log.manifest.of_kind("imd")[name]
         if sensor.body != body or stream.t.size < 10:
             continue
         unit = unit_means(stream, sensor, t, still)
@@ -182,7 +182,7 @@ def body_inputs(
 
 
 def _node_gap(gap: Floats) -> Floats:
-    return np.maximum(np.concatenate([[gap[0]], gap]), np.concatenate([gap, [gap[-1]]]))
+    return np.asarray(np.maximum(np.concatenate([[gap[0]], gap]), np.concatenate([gap, [gap[-1]]])))
 
 
 def _mean(values: list[Floats], weights: Floats, gaps: list[Floats]) -> tuple[Floats, Floats]:

@@ -96,9 +96,11 @@ def epochs_of(log: FieldLog, origin: Origin) -> list[Epochs]:
     """All receivers' epochs in the plane, the tractor's first; without GST by fix quality and HDOP."""
     out: list[Epochs] = []
     streams = log.of_type(GnssStream)
-    names = sorted(streams, key=lambda n: (log.manifest.sensors[n].body != "tractor", streams[n].t.size == 0))
+    names = sorted(
+        streams, key=lambda n: (log.manifest.of_kind("gps")[n].body != "tractor", streams[n].t.size == 0)
+    )
     for name in names:
-        gps: Gps = log.manifest.sensors[name]
+        gps: Gps = log.manifest.of_kind("gps")[name]
         g = streams[name]
         ok = np.isfinite(g.lat) & np.isfinite(g.lon) & (g.quality > 0) & (np.abs(g.lat) < 89.9)
         alt = np.where(np.isfinite(g.alt), g.alt, origin.alt)[ok]
@@ -140,7 +142,7 @@ def parameters_of(
     tractor, seeder = manifest.machine.tractor, manifest.machine.seeder
     p[s.P_REAR] = tractor.rear_axle
     main = next(e for e in epochs if e.first)
-    p[[s.P_ANT_X, s.P_ANT_Y, s.P_ANT_Z]] = manifest.sensors[main.name].position
+    p[[s.P_ANT_X, s.P_ANT_Y, s.P_ANT_Z]] = manifest.of_kind("gps")[main.name].position
     p[s.P_SWAY] = sway(tractor)
     p[s.P_HITCH] = tractor.hitch - tractor.rear_axle
     p[s.P_TAU_SLIP], p[s.P_COMPLIANCE], p[s.P_TAU_E] = (
@@ -159,7 +161,7 @@ def parameters_of(
         p[s.P_SWAY2] = sway(seeder)
     second = [e for e in epochs if e is not main]
     if second:
-        p[[s.P_ANT2_X, s.P_ANT2_Y, s.P_ANT2_Z]] = manifest.sensors[second[0].name].position
+        p[[s.P_ANT2_X, s.P_ANT2_Y, s.P_ANT2_Z]] = manifest.of_kind("gps")[second[0].name].position
     return p
 
 
