@@ -22,7 +22,9 @@ from .raw import Floats, Ints, RawError, Rejected
 Bools = NDArray[np.bool_]
 
 MAX_BYTES = 2**30  # a day of a 100 Hz unit; more is a mistake, and would not fit in memory
+MAX_ROWS = 10_000_000  # a day at 100 Hz
 MAX_COLUMNS = 1000
+MAX_BROKEN = 200_000  # rows of another length: more make it no table
 HEADER_LINES = 60  # so far down a header may stand (after a logger's own preamble)
 SEPARATORS = (",", ";", "\t", "|")
 BLOCK = 1 << 24
@@ -202,6 +204,8 @@ def read_table(
 
 def parse_table(data: bytes, header: Header, file: str, kinds: Mapping[str, str] | None = None) -> Table:
     """The table below a header; see `read_table`."""
+    if data.count(b"\n") > MAX_ROWS:
+        raise RawError(f"{file}: has more than {MAX_ROWS} rows; split it")
     body, cut = _body(data, header, file)
     names = _columns(header, body, file)
     header = Header(names, header.separator, header.lines)
@@ -283,7 +287,7 @@ def _parse(
     def note(row: csv.InvalidRow) -> str:
         reason = f"with {row.actual_columns} cells instead of {row.expected_columns}"
         dropped.append(Rejected(row.number + header.lines, reason, row.text[:80]))
-        return "skip"
+        return "skip" if len(dropped) < MAX_BROKEN else "error"
 
     names = list(types) or list(header.names)
     table = csv.read_csv(

@@ -24,6 +24,8 @@ GGA, RMC, VTG, GST, HDT, THS, PANDA, PAOGI = range(8)
 TIMED = (GGA, RMC, GST, PANDA, PAOGI)
 PLACED = (GGA, RMC, PANDA, PAOGI)
 TICKS = 1.0e3  # epochs are told apart to a millisecond
+MOST_LINES = 10_000_000  # two days of five sentences ten times a second
+MOST_COMMAS = 100_000_000
 WEEK_ROLLOVER = 1024 * 7  # days: a receiver that lost count of GPS weeks is off by multiples of this
 MODE_QUALITY = {"A": 1.0, "D": 2.0, "P": 3.0, "R": 4.0, "F": 5.0, "E": 6.0, "N": 0.0}
 
@@ -47,6 +49,11 @@ def read(path: Path, sensor: Sensor, name: str, date: dt.date) -> RawGnss:
 
 def parse(text: bytes, file: str, name: str, date: dt.date) -> RawGnss:
     """The epochs in a log's bytes; see `read`."""
+    for mark, what in ((b"\n", "lines"), (b"\r", "lines"), (b"$", "sentences")):
+        if text.count(mark) > MOST_LINES:
+            raise RawError(f"{file}: has more than {MOST_LINES} {what}; split it")
+    if text.count(b",") > MOST_COMMAS:
+        raise RawError(f"{file}: is no NMEA log, it holds more than {MOST_COMMAS} commas")
     data = np.frombuffer(text or b"\n", dtype=np.uint8)
     sentences, refused, passed_over = scan(data, KINDS)
     fields, sentences, refused = _understood(sentences, refused)
