@@ -79,7 +79,8 @@ def _broken(view: PassView, row: Floats, s: Floats, values: tuple[Floats, ...], 
     """The track with a sample that is not there wherever `part` changes: it breaks the line."""
     x = joined_distance(view, row, s)
     joins = np.flatnonzero(np.diff(part)) + 1
-    return Track(np.insert(x, joins, x[joins]), *(np.insert(column, joins, np.nan) for column in values))
+    between = 0.5 * (x[joins - 1] + x[joins])
+    return Track(np.insert(x, joins, between), *(np.insert(column, joins, np.nan) for column in values))
 
 
 def row_starts(view: PassView) -> dict[int, tuple[float, float]]:

@@ -290,6 +290,18 @@ def test_thinning_keeps_ends_and_extremes(values: list[float], buckets: int) -> 
         assert np.nanmax(y[keep]) == np.nanmax(y)
 
 
+def test_simulated_line_breaks_where_a_window_ends(out: Path) -> None:
+    view = read_result(out)
+    chart = next(c for c in charts_of(report.sections_of(view)) if c.key == "trajectories")
+    panel = json.loads(report_charts.chart_json(style.thin(chart, 700)))["panels"][0]
+    names = [curve["name"] for curve in panel["curves"]]
+    drawn = panel["data"][1 + names.index("simulated")]
+    windows = np.unique(view.comparison["window1"]).size
+    inner = [i for i in range(1, len(drawn) - 1) if drawn[i] is None and drawn[i - 1] is not None]
+    assert len(inner) == windows - 1
+    assert None not in panel["data"][1 + names.index("measured (± 2 sd)")]
+
+
 def test_thinned_chart_says_so_and_a_short_one_does_not() -> None:
     x = np.arange(10_000.0)
     thinned = style.thin(_chart(x, np.sin(x)), 500)
