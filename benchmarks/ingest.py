@@ -17,31 +17,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from smts_validate.sensors.draft_text import HEAD, MACHINE
 from smts_validate.sensors.formats import imu_csv, nmea
 from smts_validate.sensors.ingest import read_pass
 from smts_validate.sensors.manifest import Imd
 
 START = dt.datetime(2025, 5, 14, 10, 0, 0, tzinfo=dt.UTC).timestamp()
-HEAD = """schema = 1
-[run]
-id = "long"
-date = 2025-05-14
-[operating]
-speed = 2.5
-tyre_pressure_mpa = 0.12
-[machine.tractor]
-mass = 5200.0
-yaw_inertia = 9500.0
-front_track = 1.90
-rear_track = 1.80
-front_axle = 1.45
-rear_axle = 1.15
-hitch = 2.05
-cog_height = 1.0
-front_wheel_radius = 0.62
-rear_wheel_radius = 0.80
-"""
-TYRE = "[machine.tyres.{0}]\ncornering_stiffness = 6.0e4\nfriction = 0.6\nrolling_resistance = 0.08\n"
 IMD = """[sensors.imd{0}]
 kind = "imd"
 body = "tractor"
@@ -103,7 +84,7 @@ def write_gps(path: Path, seconds: int) -> int:
 def write_pass(folder: Path, seconds: int, sensors: int) -> int:
     """The whole raw pass; returns the number of NMEA sentences."""
     units = "".join(IMD.format(k) for k in range(sensors))
-    text = HEAD + TYRE.format("front") + TYRE.format("rear") + units + GPS
+    text = HEAD.format(id="long", date="2025-05-14") + MACHINE + units + GPS
     (folder / "run.toml").write_text(text)
     with multiprocessing.get_context("spawn").Pool(2) as pool:
         pool.starmap(write_unit, [(folder / f"imd{k}.csv", seconds, k) for k in range(sensors)])

@@ -41,6 +41,8 @@ def read(path: Path, sensor: Sensor, name: str, date: dt.date) -> RawGnss:
         raise RawError(
             f"{path.name}: no header with {', '.join(POSITION)}; write solutions as lat/lon/height"
         )
+    if len(set(names)) < len(names):
+        raise RawError(f"{path.name}: two columns of the header have one name")
     numbers = [k for k, line in enumerate(lines, start=1) if line.strip() and not line.startswith("%")]
     cells = [re.split(r"[\s,;]+", lines[k - 1].strip()) for k in numbers]
     width = len(names) + 1  # the time takes two cells

@@ -217,6 +217,12 @@ def test_a_cut_rtklib_line_is_dropped_with_its_number(tmp_path: Path) -> None:
     assert [(w.row, w.what) for w in gnss.warnings] == [(6, "1 row of another length")]
 
 
+def test_a_header_that_names_a_column_twice_is_refused(tmp_path: Path) -> None:
+    content = POS.format(scale="UTC ").replace("sdn(m)", "sde(m)") + pos_rows(["2025/05/14 10:01:00.000"])
+    with pytest.raises(RawError, match="one name"):
+        read_pos(tmp_path, content)
+
+
 # --- CSV of receivers and phones ---
 
 
