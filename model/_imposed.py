@@ -18,7 +18,7 @@ YAW2, W2, SLIP, FULL_SIZE = at.YAW2, at.W2, at.SLIP, at.FULL_SIZE
 @njit(cache=True, error_model="numpy")
 def impose(t: float, table: Floats, tables: Tables, s: Floats, u: Floats, force_row: int) -> None:
     """Tractor's pose and rates at t into the state; its accelerations and the seeder's disturbance into u."""
-    place = (t - tables.t0) / tables.dt
+    place = t / tables.dt
     s[at.X1], s[at.Y1] = interpolate(table, place, at.IMPOSED_X), interpolate(table, place, at.IMPOSED_Y)
     s[at.YAW1] = interpolate(table, place, at.IMPOSED_YAW)
     s[at.VX1], s[at.VY1] = interpolate(table, place, at.IMPOSED_VX), interpolate(table, place, at.IMPOSED_VY)

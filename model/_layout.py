@@ -82,10 +82,9 @@ class Options(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """Inputs on equal grids: time tables from t0 every dt, distance tables from 0 every spacing, path every
+    """Inputs on equal grids: time tables each dt from 0, distance tables each spacing, the path each
     pitch."""
 
-    t0: float
     dt: float
     steer: Floats  # (rows, n) rad
     speed: Floats  # (n,) m/s

@@ -129,9 +129,20 @@ def pack_driver(driver: Driver | None, step: float) -> Floats:
     return row
 
 
-def _is_uniform(t: Floats) -> bool:
-    steps = np.diff(t)
-    return bool(np.ptp(steps) <= 1e-6 * steps.mean())
+JITTER = 1e-4  # of the spacing; times that are equal but for this (UTC in double precision) count as equal
+
+
+def time_grid(controls: Controls, step: float) -> Floats:
+    """Times of the tables, s from controls.t[0]: the controls' own where they are equally spaced, else each
+    step; finer where the disturbance is."""
+    t = controls.t
+    spacing = float((t[-1] - t[0]) / (t.size - 1))
+    if not np.abs(np.diff(t) - spacing).max() <= JITTER * spacing:
+        spacing = step
+    if controls.over_time is not None and controls.over_time.spacing < (1.0 - JITTER) * spacing:
+        spacing = controls.over_time.spacing
+    count = int(np.ceil((t[-1] - t[0]) / spacing - JITTER)) + 1
+    return np.arange(count, dtype=np.float64) * spacing
 
 
 def pack_controls(controls: Controls, step: float, trailed: bool = True) -> Tables:
@@ -139,20 +150,16 @@ def pack_controls(controls: Controls, step: float, trailed: bool = True) -> Tabl
 
     trailed: whether there is a seeder; without one its share of the disturbance has nothing to act on.
     """
-    t = controls.t
-    spacing = float((t[-1] - t[0]) / (t.size - 1)) if _is_uniform(t) else step
-    if controls.over_time is not None:
-        spacing = min(spacing, controls.over_time.spacing)
-    grid = t if spacing * (t.size - 1) == t[-1] - t[0] else np.arange(t[0], t[-1] + spacing, spacing)
-    speed = np.interp(grid, t, controls.speed)
+    t, grid = controls.t, time_grid(controls, step)
+    now, spacing = t[0] + grid, float(grid[1])
+    speed = np.interp(now, t, controls.speed)
     over_distance, path = controls.over_distance, controls.path
     return Tables(
-        t0=float(t[0]),
         dt=spacing,
-        steer=np.stack([np.interp(grid, t, row) for row in controls.steer_rows]),
+        steer=np.stack([np.interp(now, t, row) for row in controls.steer_rows]),
         speed=speed,
         acceleration=np.gradient(speed, spacing),
-        time_force=_felt(_time_force(controls.over_time, grid), trailed),
+        time_force=_felt(_time_force(controls.over_time, now), trailed),
         spacing=1.0 if over_distance is None else float(over_distance.spacing),
         distance_force=np.zeros((1, 0, at.FORCE_SIZE))
         if over_distance is None

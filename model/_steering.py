@@ -36,7 +36,7 @@ def inner_angles(mean: float, ratio: float) -> float:
 @njit(cache=True, error_model="numpy", inline="always")
 def steering(t: float, memory: Floats, driver: Floats, change: Floats, tables: Tables, h: float) -> float:
     """Mean front angle at t: table (scaled, offset) plus the driver's ramp between its ticks."""
-    place = (t - tables.t0) / tables.dt
+    place = t / tables.dt
     row = int(change[at.STEER_ROW])
     mean = change[at.STEER_OFFSET] + change[at.STEER_SCALE] * line(tables.steer[row], place)
     if driver[at.ACTIVE] > 0.0:
@@ -60,7 +60,7 @@ def line(table: Floats, place: float) -> float:
 @njit(cache=True, error_model="numpy", inline="always")
 def load_inputs(t: float, mean: float, p: Floats, change: Floats, tables: Tables, u: Floats) -> None:
     """Inputs u at time t for the mean front angle."""
-    place = (t - tables.t0) / tables.dt
+    place = t / tables.dt
     half = inner_angles(mean, p[at.ACKERMANN])
     u[at.SIN_LEFT], u[at.COS_LEFT] = math.sin(mean + half), math.cos(mean + half)
     u[at.SIN_RIGHT], u[at.COS_RIGHT] = math.sin(mean - half), math.cos(mean - half)

@@ -199,8 +199,9 @@ def simulate_batch(
     many = [machines] if isinstance(machines, Machine) else list(machines)
     who = [controls.driver] if drivers is None else list(drivers)
     _require_counts(len(state), many, who)
+    since = np.asarray(start, dtype=np.float64) - controls.t[0]
     change = _changes(
-        len(state), start, steer_offset, steer_scale, speed_scale, speed_offset, steer_row, force_row,
+        len(state), since, steer_offset, steer_scale, speed_scale, speed_offset, steer_row, force_row,
         force_scale,
     )  # fmt: skip
     tables = pack_controls(controls, step, trailed=many[0].seeder is not None)
@@ -214,7 +215,8 @@ def simulate_batch(
         np.stack([pack_driver(d, step) for d in who]),
         change, tables, pack_options(settings), step, every, _memory(state, tables), out, good,
     )  # fmt: skip
-    return batch_run(many, change[:, at.START, None] + spacing * np.arange(samples), out, good)
+    t = controls.t[0] + change[:, at.START, None] + spacing * np.arange(samples)
+    return batch_run(many, t, out, good)
 
 
 def _checked_state(initial: Floats) -> Floats:

@@ -115,13 +115,13 @@ def simulate_trailed_batch(
         t=tractor.t, speed=np.zeros(len(tractor.t)), over_distance=over_distance, over_time=over_time
     )
     tables = pack_controls(held, spacing / every)
-    grid = tables.t0 + tables.dt * np.arange(len(tables.speed))
-    table = np.stack([np.interp(grid, tractor.t, column) for column in tractor.table.T], axis=1)
+    now = tractor.t[0] + tables.dt * np.arange(len(tables.speed))
+    table = np.stack([np.interp(now, tractor.t, column) for column in tractor.table.T], axis=1)
     out = np.full((len(initial), samples, at.OUTPUT_SIZE), np.nan)
     out[:, :, at.STEER] = 0.0
     good = np.zeros(len(initial))
     run_trailed_batch(
-        initial, np.stack([pack_machine(m, settings) for m in many]), np.array(columns[2]),
+        initial, np.stack([pack_machine(m, settings) for m in many]), columns[2] - tractor.t[0],
         np.ascontiguousarray(table), tables, np.array(columns[3]), pack_options(settings),
         spacing / every, every, out, good,
     )  # fmt: skip

@@ -238,10 +238,13 @@ def linear_chart(found: LinearMap) -> Chart:
 
 def response_chart(responses: Sequence[Response]) -> Chart:
     """Amplitude of the frequency responses from steering, a panel an output, a curve a version."""
-    units = {"yaw_rate1": "1/s", "yaw_rate2": "1/s", "hitch_angle": "rad/rad"}
+    short = {
+        "yaw_rate1": "w1, 1/s", "yaw_rate2": "w2, 1/s", "lateral_acceleration1": "a1, m/s²",
+        "lateral_acceleration2": "a2, m/s²", "hitch_angle": "hitch, rad",
+    }  # fmt: skip
     panels = [
         Panel(
-            f"{name}, {units.get(name, 'm/s²/rad')}",
+            short[name],
             tuple(
                 Curve(r.version.label, role, r.frequency, np.abs(r.gain[:, i]))
                 for role, r in zip(ROLES, responses, strict=False)
@@ -252,7 +255,7 @@ def response_chart(responses: Sequence[Response]) -> Chart:
     ]
     return Chart(
         key="study-response",
-        title="Frequency response from the steering angle",
+        title="Frequency response from the steering angle, per radian",
         caption="; ".join(version_title(r.version) for r in responses) + ".",
         alt="Gains fall beyond about one hertz.",
         x_label="frequency, Hz",

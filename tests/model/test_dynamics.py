@@ -50,7 +50,7 @@ def compiled_right_hand_side(machine, state, inputs, settings, slips=None):
     p, u, rate = pack_machine(machine, settings), np.zeros(at.INPUT_SIZE), np.zeros(at.FULL_SIZE)
     change = np.zeros(at.CHANGE_SIZE)
     change[at.SPEED_SCALE] = u[at.FORCE_FACTOR] = 1.0
-    load_inputs(0.0, inputs.steer, p, change, tables, u)
+    load_inputs(0.5, inputs.steer, p, change, tables, u)
     full = np.zeros(at.FULL_SIZE)
     full[:8] = state
     if slips is not None:

@@ -371,3 +371,16 @@ def test_batches_that_do_not_fit_together_are_refused(choice, message):
     arguments = {"machines": trailed(), "initial": np.stack([ROLLING] * 2)} | choice
     with pytest.raises(SimulationError, match=message):
         simulate_batch(controls=rough(1.0), samples=3, spacing=0.1, **arguments)
+
+
+def test_times_in_utc_seconds_give_the_run_of_times_from_zero():
+    controls, utc = rough(20.0), 1_747_303_260.0
+    shifted = dataclasses.replace(
+        controls, t=utc + controls.t, over_time=dataclasses.replace(controls.over_time, start=utc)
+    )
+    starts = np.array([0.0, 7.34])
+    state = np.stack([ROLLING] * 2)
+    one = simulate_batch(trailed(), controls, state, 500, 0.02, start=starts)
+    other = simulate_batch(trailed(), shifted, state, 500, 0.02, start=utc + starts)
+    assert np.abs(one.y2 - other.y2).max() < 1e-5
+    assert np.abs(other.t - utc - one.t).max() < 1e-6
