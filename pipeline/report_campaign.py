@@ -30,9 +30,10 @@ MEANINGS = {
 }
 SCOPE = (
     "The pass is the unit: samples along a pass are not independent. Passes combine by their "
-    "geometric mean, bodies by their quadratic mean. The paper gives its 11 % and 9 % without "
-    "formula, spread or threshold, so they are shown for orientation and decide nothing. With "
-    "several versions the campaign's verdict is the worst of them, and the numbers are that "
+    "geometric mean, bodies by their quadratic mean. The interval bounds what is left of a "
+    "discrepancy once the measurement's own error is taken out. The paper gives its 11 % and 9 % "
+    "without formula, spread or threshold, so they are shown for orientation and decide nothing. "
+    "With several versions the campaign's verdict is the worst of them, and the numbers are that "
     "version's."
 )
 

@@ -24,9 +24,10 @@ MEANINGS = {
 }
 SCOPE = (
     "A verdict of scope “pass” speaks of this pass and not of the model: a model is judged over a "
-    "campaign of at least four passes in two directions. Discrepancies are root mean squares over the "
-    "range R95 of the measured motion; the paper gives its figures without formula, so they are shown "
-    "for orientation and decide nothing."
+    "campaign of at least four passes in two directions. Discrepancies are root mean squares over "
+    "the range R95 of the measured motion. The interval bounds what is left of a discrepancy once "
+    "the measurement's own error is taken out, so it may lie below it. The paper gives its figures "
+    "without formula; they are shown for orientation and decide nothing."
 )
 
 

@@ -108,7 +108,7 @@ def write_result(out: Path, result: PassResult, finish: Callable[[Path], None] |
 
     Returns the folder. Raises ResultError when `out` holds anything that a result does not leave.
     """
-    with replaced_folder(Path(out)) as folder:
+    with replaced_folder(Path(os.path.abspath(out))) as folder:
         write_tables(folder, result)
         if finish is not None:
             finish(folder)

@@ -1,4 +1,4 @@
-"""Where the numbers come from: hashes, versions, options."""
+"""Where the numbers come from: command, hashes, versions, options."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ def build(view: PassView) -> Section:
     if not rows:
         return Section("provenance", "Provenance", (Missing("The result holds no provenance."),))
     table = Table("provenance", "Provenance", ("what", "value"), rows)
-    return Section("provenance", "Provenance", (Text(TEXT), *_command(provenance), table))
-
-
-def _command(provenance: Mapping[str, Any]) -> tuple[Text, ...]:
-    """What to type to have this result again."""
-    source = provenance.get("source")
-    return (Text(f"Made by: smts-validate run {source}"),) if source else ()
+    return Section("provenance", "Provenance", (Text(TEXT), table))
 
 
 def _lines(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
     for key, value in values.items():
-        name = f"{prefix}{key}"
+        name = f"{prefix}{key.replace('_', ' ')}"
         if isinstance(value, Mapping):
             yield from _lines(value, f"{name} ")
         elif isinstance(value, list):
-            yield name, " ".join(str(item) for item in value)
+            yield name, " ".join("none" if item is None else str(item) for item in value)
         elif value is not None:
-            yield name, str(value)
+            yield name, _plain(value)
+
+
+def _plain(value: Any) -> str:
+    """Yes and no in words, numbers as short as they are exact."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

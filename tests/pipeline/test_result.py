@@ -58,6 +58,16 @@ def test_sd_of_the_deviation_is_the_covariance_turned_into_the_rows_frame(tmp_pa
     np.testing.assert_allclose(view.trajectory["sd_s1"][inside], 0.02, rtol=1e-9)
 
 
+def test_innovations_are_kept_for_the_report(tmp_path: Path) -> None:
+    result = samples.pass_result()
+    view = read_result(_write(tmp_path / "out"))
+    for channel, columns in result.motion.innovations.items():
+        stored = view.plots["innovations"][channel]
+        np.testing.assert_array_equal(stored.x, columns["t"])
+        np.testing.assert_array_equal(stored.y, columns["value"])
+    assert "innovations refused" not in view.plots
+
+
 def test_tractor_alone_has_no_column_of_body_two(tmp_path: Path) -> None:
     view = read_result(_write(tmp_path / "out", seeder=False))
     assert view.bodies == ("1",)
