@@ -12,12 +12,14 @@ import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from ..model.machine import Machine
 from ..sensors import manifest as manifests
 from ..sensors.manifest import Manifest
 from .adequacy import ADEQUATE, INCONCLUSIVE, NOT_ADEQUATE, Verdict, judge_campaign
 from .bounds import DEVIATION1, DEVIATION2, YAW1, YAW2, PassStatistics, ResponseStatistics
 from .campaign_settings import CampaignError, CampaignSettings
 from .effects import Effects, effects_of
+from .ensemble import ensemble_values, make_ensemble
 from .findings import PAPER, discrepancy_values, verdict_values
 from .operating import operating_curve
 from .traditional import Track, of_cell
@@ -35,6 +37,7 @@ SAME_HORIZON = 1e-9  # m
 class PassRecord:
     """One stored pass: who it is, its design parameters, indices, statistics and tracks.
 
+    row_length : m, mean of the compared rows
     factors : speed m/s, hitch_to_com m (None for a tractor alone), tyre_pressure_mpa
     straightness : indices by response, m or rad; tracks : the first compared row, by response
     """
@@ -44,6 +47,7 @@ class PassRecord:
     discrepancy: Mapping[str, Any]
     horizon: float | None
     warnings: int
+    row_length: float
     straightness: Mapping[str, Mapping[str, float]]
     statistics: PassStatistics | None
     tracks: Mapping[str, Track]
@@ -87,12 +91,14 @@ def _columns(path: Path) -> dict[str, Floats]:
 def record_of(manifest: Manifest, metrics: Mapping[str, Any], columns: Mapping[str, Floats]) -> PassRecord:
     """The record of a pass from its manifest, metrics.json and the columns of comparison.parquet."""
     compared = bool(metrics["responses"]) and bool(columns)
+    rows = metrics["comparison"]["rows"]
     return PassRecord(
         manifest=manifest,
         verdict=str(metrics["verdict"]["value"]),
         discrepancy=metrics["discrepancy"],
         horizon=metrics["comparison"]["horizon"],
         warnings=len(metrics["warnings"]),
+        row_length=float(np.mean([r["length"] for r in rows])) if rows else 0.0,
         straightness=metrics["straightness"],
         statistics=statistics_of(manifest, metrics, columns) if compared else None,
         tracks={n: _track(columns, n) for n in metrics["responses"]} if compared else {},
@@ -272,8 +278,23 @@ def variant_values(
         "discrepancy": discrepancy_values(verdict.responses),
         "responses": {n: asdict(j) for n, j in verdict.responses.items()},
         "passes": [r.run for r in records],
+        "ensemble": version_ensemble(records),
         "operating_curve": [asdict(p) for p in operating_curve(_statistics(records), settings.rules, seed)],
     }
+
+
+def version_ensemble(records: Sequence[PassRecord]) -> dict[str, Any]:
+    """Ensemble mode of one version: its first pass's machine at the passes' mean speed and row length."""
+    manifest = records[0].manifest
+    machine = Machine.from_mapping(manifest.machine.model_dump(), manifest.operating.tyre_pressure_mpa)
+    speed = float(np.mean([r.manifest.operating.speed for r in records]))
+    measured: dict[str, list[float]] = {}
+    for record in records:
+        for response, indices in record.straightness.items():
+            for index, value in indices.items():
+                measured.setdefault(f"{response}.{index}", []).append(value)
+    length = float(np.mean([r.row_length for r in records]))
+    return ensemble_values(make_ensemble(machine, speed, length), measured)
 
 
 def cell_values(records: Sequence[PassRecord], alpha: float) -> list[dict[str, Any]]:
