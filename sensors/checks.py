@@ -74,12 +74,18 @@ def times_ns(table: Table, column: str, unit: float) -> tuple[Ints, Bools]:
     return np.rint(np.where(good, values_s, 0.0) * 1.0e9).astype(np.int64), good
 
 
-def not_isolated(values: Ints, unit: float) -> Bools:
-    """False where one value stands apart from its neighbours on both sides by more than ISOLATED seconds."""
+def not_isolated(values: Ints, unit: float, span: int | None = None) -> Bools:
+    """False where one value stands apart from its neighbours on both sides by more than ISOLATED seconds.
+
+    span : where a counter wraps; its two ends are neighbours
+    """
     if values.size < 5:
         return np.ones(values.size, dtype=np.bool_)
     limit = round(ISOLATED / unit)
-    return np.asarray(np.abs(values - median_filter(values, 5, mode="nearest")) <= limit)
+    apart = values - median_filter(values, 5, mode="nearest")
+    if span is not None:
+        apart = (apart + span // 2) % span - span // 2
+    return np.asarray(np.abs(apart) <= limit)
 
 
 def check_host_scale(host_ns: Ints, table: Table, column: str, unit: str) -> None:

@@ -180,7 +180,8 @@ def sample_times(
 
     Raises
     ------
-    ClockError : without a counter, time that falls back by more than a few stray rows.
+    ClockError : a counter that begins anew all the time; without one, time that falls back by more than a
+        few stray rows.
     """
     if counter is None:
         return _host_only(host, seq, rate, repeats)
@@ -251,6 +252,9 @@ def _fitted(
         lost += _lost(device[kept], None if seq is None else seq[part][kept], rate)
         index.append(kept + part.start)
         t.append((device + line(device) + _wander(device, host[part], line))[kept])
+    if 2 * sum(part.size for part in index) < host.size:
+        row = segments[1].start
+        raise ClockError(f"its counter begins anew {len(segments) - 1} times; is it the right column?", row)
     rows, times = np.concatenate(index), np.concatenate(t)
     rising = times > np.maximum.accumulate(np.concatenate([[-np.inf], times[:-1]]))
     resets = np.array([part.start for part in segments[1:]], dtype=np.int64)
@@ -296,14 +300,16 @@ def _wander(device: Floats, host: Floats, line: ClockLine) -> Floats:
 
 
 def _lost(t: Floats, seq: Ints | None, rate: float) -> int:
-    """Samples missing between the first and the last: gaps of `seq`, or of time where there is none."""
+    """Samples missing in between: gaps of `seq`, or of time where there is none or it begins anew."""
     if t.size < 2:
         return 0
     if seq is None:
         return int(np.maximum(np.rint(np.diff(t) * rate) - 1, 0).sum())
-    whole = np.sort(unwrap(seq, SEQ_SPAN, (t - t[0]) * rate))
-    distinct = 1 + np.count_nonzero(np.diff(whole))
-    return max(int(whole[-1] - whole[0]) + 1 - int(distinct), 0)
+    expected = np.rint(np.diff(t) * rate)
+    ahead = np.diff(seq)
+    ahead = ahead + SEQ_SPAN * np.rint((expected - ahead) / SEQ_SPAN)
+    begun_anew = np.abs(ahead - expected) > 3.0 + 0.05 * expected
+    return int(np.maximum(np.where(begun_anew, expected, ahead) - 1, 0).sum())
 
 
 def _host_only(host: Floats, seq: Ints | None, rate: float, repeats: Bools | None) -> SampleTimes:

@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .manifest import Manifest
 from .plausibility import Finding, findings
 from .streams import FieldLog, Floats, GnssStream, Stream, Warn
 
+FIXES = {0: "none", 1: "single", 2: "differential", 4: "fixed", 5: "float", 6: "estimated"}
 MOST_CHANGES = 100
 GAP = 2.5  # nominal intervals: longer is a gap
 
@@ -75,12 +77,23 @@ def _fixes(stream: GnssStream) -> dict[str, Any]:
     codes, counts = np.unique(stream.quality, return_counts=True)
     delay = stream.t_arrival - stream.t
     return {
+        "fix": _shares(codes, counts),
         "quality": {str(int(code)): int(count) for code, count in zip(codes, counts, strict=True)},
         "quality_over_time": _changes(stream),
         "without_position": int(np.isnan(stream.lat).sum()),
         "median_sd_m": _median(np.hypot(stream.sd_east, stream.sd_north)),
         "delay_s": {"least": float(delay.min()), "median": float(np.median(delay))},
     }
+
+
+def _shares(codes: Floats, counts: NDArray[np.int64]) -> str:
+    """`fixed 92 %, float 8 %`, the commonest first."""
+    whole = float(counts.sum())
+    order = np.argsort(-counts, kind="stable")
+    return ", ".join(
+        f"{FIXES.get(int(codes[k]), f'quality {int(codes[k])}')} {100.0 * counts[k] / whole:.0f} %"
+        for k in order
+    )
 
 
 def _changes(stream: GnssStream) -> list[list[float]]:

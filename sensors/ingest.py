@@ -193,6 +193,7 @@ def _clock_facts(times: SampleTimes) -> dict[str, Any]:
     latency = times.host - times.t
     return {
         "drift_ppm": None if np.isnan(times.drift) else 1.0e6 * times.drift,
+        "latency_ms": 1.0e3 * float(np.median(latency)),
         "latency_above_least_ms": {
             "median": 1.0e3 * float(np.median(latency)),
             "p99": 1.0e3 * float(np.percentile(latency, 99)),

@@ -113,7 +113,7 @@ def _same_body(manifest: Manifest, streams: Mapping[str, Stream], name: str) -> 
     first = next((key for key, imd in units.items() if imd.body == units[name].body), name)
     reference, stream = streams.get(first), streams[name]
     if first == name or not isinstance(reference, ImuStream) or not isinstance(stream, ImuStream):
-        return Finding({})
+        return Finding({"clock_offset": None})
     mine = to_body(stream, units[name])[1][:, 2]
     theirs = to_body(reference, units[first])[1][:, 2]
     return _offset(first, "yaw rate", stream.t, mine, reference.t, theirs)
@@ -123,7 +123,11 @@ def _offset(
     against: str, of: str, t: Floats, x: Floats, t_ref: Floats, x_ref: Floats, off: float = OFF
 ) -> Finding:
     lag, alike = time_offset(t, x, t_ref, x_ref)
-    facts = {"clock_check": {"against": against, "by": of, "offset_s": lag, "correlation": alike}}
+    facts: dict[str, Any] = {
+        "clock_check": {"against": against, "by": of, "offset_s": lag, "correlation": alike}
+    }
+    if abs(alike) > ALIKE:
+        facts["clock_offset"] = f"{1.0e3 * lag:+.0f} ms to {against}"
     if alike > ALIKE and abs(lag) > off:
         return Finding(facts, (f"its {of} comes {lag:.2f} s after that of {against}: check the clocks",))
     if alike < -ALIKE:

@@ -160,7 +160,7 @@ def _counter(table: Table, column: str, unit: float) -> tuple[Ints, float, int |
     wide = bool(good.any()) and bool(np.median(values[good]) >= SPAN)
     if wide:
         return values, unit, None, good & not_isolated(values, unit)
-    return values, unit, SPAN, good & (values < SPAN)
+    return values, unit, SPAN, good & (values < SPAN) & not_isolated(values, unit, SPAN)
 
 
 def _vectors(table: Table, layout: Layout, axes: tuple[str, ...]) -> Floats:

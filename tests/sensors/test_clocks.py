@@ -116,6 +116,21 @@ def test_a_jump_of_the_loggers_clock_is_taken_out(size: float) -> None:
     assert np.abs(error).max() < 2.0e-3
 
 
+def test_a_sample_counter_that_begins_anew_is_no_loss() -> None:
+    unit = a_unit(seed=22)
+    unit.seq[3000:] = np.arange(3000)
+    keep = np.setdiff1d(np.arange(6000), [1000, 1001, 4500])
+    times, _ = error_of(unit.take(keep))
+    assert times.lost == 3
+
+
+def test_a_counter_that_is_none_is_refused() -> None:
+    unit = a_unit(seed=23, seconds=10.0)
+    unit.counter[:] = np.random.default_rng(0).integers(0, 2**32, unit.counter.size)
+    with pytest.raises(clocks.ClockError, match="begins anew"):
+        clocks.sample_times(unit.host, unit.counter, unit.seq, RATE)
+
+
 def test_a_rate_that_warms_up_is_followed() -> None:
     rng = np.random.default_rng(20)
     true = np.arange(0.0, 1800.0, 0.01)

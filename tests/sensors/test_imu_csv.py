@@ -171,6 +171,21 @@ def test_a_host_time_far_from_its_neighbours_drops_its_row(tmp_path: Path) -> No
     assert raw.warnings[0].row == 80
 
 
+def test_a_counter_with_a_flipped_bit_drops_its_row(tmp_path: Path) -> None:
+    raw = read(tmp_path, with_cell(80, "t_dev_us", str((1000 + 78 * 10_000) ^ 2**30)))
+    assert raw.host_ns.size == N - 1
+    assert raw.warnings[0].row == 80
+
+
+def test_a_wrap_is_no_flipped_bit(tmp_path: Path) -> None:
+    cells = rows()
+    for k, row in enumerate(cells):
+        row[1] = str((2**32 - 1_000_000 + k * 10_000) % 2**32)
+    raw = read(tmp_path, table(cells))
+    assert raw.host_ns.size == N
+    assert raw.warnings == ()
+
+
 @pytest.mark.parametrize(
     ("broken", "what"),
     [
