@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..sensors.manifest import Manifest
 from ..sensors.streams import Warn
+from . import grid as on_grid
 from . import metrics as shelf
 from .adequacy import Judged, Verdict
 from .bounds import DEVIATION1, DEVIATION2, YAW1, YAW2
@@ -59,7 +60,7 @@ def metrics_of(
         "companions_null": companion_values(comparison, "null"),
         "attribution": {n: attribution(comparison, n) for n in comparison.responses},
         "alignment": alignment_values(comparison),
-        "straightness": straightness(comparison),
+        "straightness": straightness(manifest, motion, comparison),
         "steering": steering_values(motion),
         "spectra": dict(spectra or {}),
         "consistency": {
@@ -277,22 +278,34 @@ def alignment_values(comparison: Comparison) -> dict[str, Any]:
     return {"windows_within_bound": within, "windows": windows}
 
 
-def straightness(comparison: Comparison) -> dict[str, Any]:
-    """Straightness indices of the measured motion over the rows: greatest, range, R95, rms, in m or rad."""
-    statistics = comparison.statistics
-    if statistics is None:
-        return {}
-    found = {}
-    for name in comparison.responses:
-        pooled = comparison.pooled("measured", name)
-        ranges = [float(np.ptp(r.measured[name][r.valid[name]])) for r in comparison.rows]
-        found[name] = {
-            "max_abs": float(np.abs(pooled).max()),
-            "range": float(max(ranges)),
-            "r95": statistics.responses[name].r95,
-            "rms": float(np.sqrt(np.mean(statistics.responses[name].deviation ** 2))),
-        }
-    return found
+def straightness(manifest: Manifest, motion: Motion, comparison: Comparison) -> dict[str, Any]:
+    """Straightness indices of the measured motion of every body: greatest, range, R95, rms, in m or rad.
+
+    Over every row found that is covered well enough, also where the model could not be tested on it. R95 and rms
+    are of the rows centred, the range is the widest row's.
+    """
+    settings = comparison.settings
+    gap = on_grid.longest_gap([g.rate for g in manifest.of_kind("gps").values()], settings.longest_gap)
+    bodies = tuple(range(1, len(motion.bodies) + 1))
+    grids = [on_grid.row_grid(motion, row, bodies, settings.grid_step, gap) for row in comparison.found]
+    found: dict[str, list[Floats]] = {}
+    for grid in grids:
+        if grid.coverage >= settings.least_coverage:
+            for body in grid.bodies:
+                for name, values in body.channels:
+                    found.setdefault(name, []).append(values[body.valid])
+    return {name: _indices(rows) for name, rows in found.items()}
+
+
+def _indices(rows: Sequence[Floats]) -> dict[str, float]:
+    centred = np.concatenate([r - r.mean() for r in rows])
+    low, high = np.quantile(centred, [0.025, 0.975])
+    return {
+        "max_abs": float(max(np.abs(r).max() for r in rows)),
+        "range": float(max(np.ptp(r) for r in rows)),
+        "r95": float(high - low),
+        "rms": float(np.sqrt(np.mean(centred**2))),
+    }
 
 
 def steering_values(motion: Motion) -> dict[str, Any]:

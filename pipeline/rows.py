@@ -171,8 +171,9 @@ def change_of_heading(yaw: Floats) -> tuple[int, float]:
 
 
 def _span(motion: Motion, start: int, stop: int) -> float:
-    x, y = motion.tractor.x, motion.tractor.y
-    return float(np.hypot(x[stop - 1] - x[start], y[stop - 1] - y[start]))
+    """Diagonal of the stretch's extent, m: an outward and a return leg are not short for ending where they began."""
+    x, y = motion.tractor.x[start:stop], motion.tractor.y[start:stop]
+    return float(np.hypot(np.ptp(x), np.ptp(y)))
 
 
 def fit_line(x: Floats, y: Floats) -> Line:

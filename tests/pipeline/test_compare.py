@@ -501,6 +501,74 @@ def test_metrics_json_satisfies_its_schema_and_says_everything_that_is_disclosed
     assert set(document["companions"][YAW2]) == set(document["companions_null"][YAW2])
 
 
+def test_a_tractor_that_cannot_be_tested_still_has_its_straightness() -> None:
+    moving = replace(motion(), steer_input=None)
+    trailed = compare(moving, machine(), manifest_of())
+    full = metrics_of(manifest_of(), motion(), compared(), judge_pass(compared().statistics))["straightness"]
+    found = metrics_of(manifest_of(), moving, trailed, judge_pass(trailed.statistics))["straightness"]
+    assert found == full
+    assert found[DEVIATION1]["range"] >= found[DEVIATION1]["r95"]
+
+
+def two_rows() -> tuple[Motion, Comparison]:
+    """Out and back: two truths one after the other, the second turned about and moved by 10 m."""
+    there, back = motion(5), motion(6)
+    late = float(there.t[-1] + 0.02 - back.t[0])
+
+    def turned(body: BodyMotion) -> BodyMotion:
+        return replace(body, x=150.0 - body.x, y=10.0 - body.y, yaw=body.yaw + np.pi)
+
+    def joined(a: BodyMotion, b: BodyMotion) -> BodyMotion:
+        b = turned(b)
+        pairs = {n: (getattr(a, n), getattr(b, n)) for n in ("x", "y", "yaw", "v", "v_lateral", "yaw_rate")}
+        more = {n: (getattr(a, n), getattr(b, n)) for n in ("covariance", "roll", "pitch")}
+        arrays = {n: np.concatenate(pair) for n, pair in (pairs | more).items()}
+        return BodyMotion(**arrays)
+
+    assert there.steer_input is not None
+    assert back.steer_input is not None
+    assert there.seeder is not None
+    assert back.seeder is not None
+    sign = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
+    steer = replace(
+        there.steer_input,
+        angle=np.concatenate((there.steer_input.angle, back.steer_input.angle)),
+        sd=np.concatenate((there.steer_input.sd, back.steer_input.sd)),
+    )
+    both = replace(
+        there,
+        t=np.concatenate((there.t, back.t + late)),
+        tractor=joined(there.tractor, back.tractor),
+        seeder=joined(there.seeder, back.seeder),
+        steer=np.concatenate((there.steer, back.steer)),
+        sd_steer=np.concatenate((there.sd_steer, back.sd_steer)),
+        steer_input=steer,
+        draw_t=np.concatenate((there.draw_t, back.draw_t + late)),
+        draws=np.concatenate((there.draws, back.draws * sign), axis=1),
+        gnss_t=np.concatenate((there.gnss_t, back.gnss_t + late)),
+    )
+    return both, compare(both, machine(), manifest_of())
+
+
+def test_a_log_of_two_rows_pools_both_and_numbers_them() -> None:
+    both, found = two_rows()
+    assert [r.row.index for r in found.rows] == [0, 1]
+    assert [r.row.direction for r in found.rows] == ["east", "west"]
+    singles = [compare(motion(s), machine(), manifest_of()).statistics for s in (5, 6)]
+    assert found.statistics is not None
+    for name, response in found.statistics.responses.items():
+        parts = [s.responses[name].mse for s in singles if s is not None]
+        assert min(parts) * 0.8 < response.mse < max(parts) * 1.2
+    columns = comparison_columns(found)
+    assert set(np.unique(columns["row"])) == {0, 1}
+    document = json.loads(dump_json(metrics_of(manifest_of(), both, found, judge_pass(found.statistics))))
+    assert len(document["comparison"]["rows"]) == 2
+    jsonschema.validate(document, json.loads((DOCS / "metrics.schema.json").read_text()))
+    simulated = simulated_columns(both, found)
+    between = slice(found.rows[0].row.stop, found.rows[1].row.start)
+    assert np.isnan(simulated["x1"][between]).all()
+
+
 @pytest.mark.parametrize("case", json.loads((ORACLES / "ar1_effective_n.json").read_text())["cases"][:2])
 def test_the_effective_number_of_samples_is_bartlett_s_for_an_ar1(case: dict[str, float]) -> None:
     generator = np.random.default_rng(0)
