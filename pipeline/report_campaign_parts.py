@@ -15,6 +15,7 @@ from .sections._common import RESPONSES, deep, interval, number, percent, small
 MOST_CELLS = 6  # cells of repeats that are drawn
 ROLES: tuple[Role, ...] = ("measured", "simulated", "third", "fourth", "null", "residual")
 FACTORS = {"speed": "speed, m/s", "hitch_to_com": "l₅, m", "tyre_pressure_mpa": "tyre pressure, MPa"}
+TESTS = {"cochran": "Cochran's C", "fisher": "Fisher's F"}
 INDICES = {"max_abs": "greatest", "range": "range", "r95": "R95", "rms": "rms"}
 ALIASED = (
     "{} changed together in these passes, so their effects cannot be told apart; the first stands for all."
@@ -359,7 +360,7 @@ def traditional(view: CampaignView) -> Section:
         (
             _cell_name(cell),
             RESPONSES[response],
-            test,
+            TESTS.get(test, test),
             number(result["statistic"], 3),
             number(result["critical"], 3),
             "holds" if result["holds"] else "rejected",

@@ -23,6 +23,7 @@ MARGIN = 18.0  # mm
 PAGE_WIDTH, PAGE_HEIGHT = 210.0, 297.0
 TEXT_WIDTH = PAGE_WIDTH - 2.0 * MARGIN
 FOOT = 16.0  # mm at the bottom
+TABLE_START = 34.0  # mm that a table needs to begin on a page: caption, heading, a few rows
 TABLE_SIZES, LINE = (7.5, 7.0, 6.5, 6.0), 3.9  # pt, mm
 POINT = 25.4 / 72.0  # mm
 INK, MUTED, RULE, CARD = (29, 35, 41), (89, 99, 110), (200, 206, 213), (244, 245, 247)
@@ -194,6 +195,8 @@ def _opening_height(blocks: Sequence[Block], pictures: dict[str, Picture]) -> fl
     for block in blocks[:3]:
         if isinstance(block, Chart):
             return words + _figure_height(block, pictures)
+        if isinstance(block, Table):
+            return words + TABLE_START
         if not isinstance(block, Text | Missing):
             break
         words += 4.6 * (1 + len(block.text) // 100) + 1.5
@@ -243,7 +246,7 @@ def _place(sheet: _Sheet, picture: Picture) -> None:
 def _table(sheet: _Sheet, table: Table) -> None:
     """A table with a rule under every row; its heading is repeated on each page that it reaches."""
     size, widths = _fitted(sheet, table)
-    _room(sheet, 34.0)
+    _room(sheet, TABLE_START)
     _write(sheet, table.caption, 9.0, "B")
     sheet.ln(0.8)
     sheet.set_text_color(*INK)
