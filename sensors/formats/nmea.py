@@ -352,7 +352,10 @@ def _epochs(fields: Fields, sentences: Sentences, utc: Floats) -> RawGnss:
         for key in GnssStream.ARRAYS:
             said = chosen & ~np.isnan(fields.values[key])
             values[key][epoch[said]] = fields.values[key][said]
-    values["alt"] = np.where(np.isnan(values["lat"]), np.nan, np.nan_to_num(values["alt"]))
+    nowhere = np.isnan(values["lat"]) | np.isnan(values["lon"])
+    values["alt"] = np.nan_to_num(values["alt"])
+    for key in ("lat", "lon", "alt"):
+        values[key] = np.where(nowhere, np.nan, values[key])
     values["quality"] = np.nan_to_num(values["quality"])
     host = sentences.host_ns[first]
     prefixed = bool((sentences.host_ns >= 0).all())

@@ -139,6 +139,12 @@ def test_no_fix_is_an_epoch_without_position() -> None:
     assert np.isnan(gnss.values["lat"][0])
 
 
+def test_a_latitude_without_longitude_is_no_position() -> None:
+    gnss = parsed(gga("100100.00"), gga("100101.00", "5002.5,N,,E"))
+    assert np.isnan([gnss.values[key][1] for key in ("lat", "lon", "alt")]).all()
+    assert gnss.values["lat"][0] > 50.0
+
+
 def test_midnight_goes_on_to_the_next_day() -> None:
     gnss = parsed(gga("235959.90"), gga("000000.00"), gga("000000.10"))
     assert np.diff(gnss.utc).tolist() == pytest.approx([0.1, 0.1], abs=1e-6)
