@@ -67,7 +67,7 @@ def progress(message: str) -> None:
 
 
 @app.command()
-@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--force", is_flag=True, help="Write over a run.toml that is there.")
 @common
 def init(folder: Path, force: bool, as_json: bool) -> None:
@@ -110,14 +110,19 @@ def inspect(log: Path, manifest: Path | None, as_json: bool) -> None:
 @click.argument("log", type=click.Path(path_type=Path))
 @click.option("-o", "out", type=click.Path(path_type=Path), help="Results folder (results/<run.id>).")
 @click.option("--manifest", type=click.Path(path_type=Path), help="run.toml for a log that carries none.")
+@click.option("--engine", type=click.Choice(["compiled", "filterpy"]), default="compiled", show_default=True)
+@click.option("--figures", is_flag=True, help="Also each figure as SVG, PDF and PNG in figures/.")
 @click.option("--require-adequate", is_flag=True, help="Exit with 3 when the verdict is not `adequate`.")
 @common
-def run(log: Path, out: Path | None, manifest: Path | None, require_adequate: bool, as_json: bool) -> None:
+def run(
+    log: Path, out: Path | None, manifest: Path | None, engine: str, figures: bool, require_adequate: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Run the whole chain for one pass: LOG is an MCAP log or a raw pass's folder."""
     from . import console
     from .run import run_to_folder
 
-    summary = run_to_folder(log, out, manifest, say=progress)
+    summary = run_to_folder(log, out, manifest, engine, figures, say=progress)
     emit(summary, as_json, console.ran)
     _leave_unless_adequate(require_adequate, summary["verdict"]["value"])
 

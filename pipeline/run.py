@@ -16,9 +16,9 @@ from . import findings
 from .adequacy import judge_pass
 from .compare import compare
 from .fusion.fuse import fuse
-from .report import finish
-from .result import PassResult, write_result
-from .run_settings import RunSettings
+from .report import finish, sections_of, write_figures
+from .result import FIGURES, PassResult, read_result, write_result
+from .run_settings import RunSettings, with_engine
 from .source import read_source
 from .spectra import spectra_of
 
@@ -113,15 +113,31 @@ def with_provenance(result: PassResult, more: Mapping[str, Any]) -> PassResult:
     return replace(result, metrics={**result.metrics, "provenance": known})
 
 
-def run_to_folder(source: Path, out: Path | None, manifest: Path | None, say: Say = silent) -> dict[str, Any]:
-    """Run one pass into `out` (results/<run.id> by default); the head of its metrics, and its report."""
+def run_to_folder(
+    source: Path,
+    out: Path | None = None,
+    manifest: Path | None = None,
+    engine: str = "compiled",
+    figures: bool = False,
+    say: Say = silent,
+) -> dict[str, Any]:
+    """Run one pass into `out` (results/<run.id> by default); the head of its metrics, and its report.
+
+    engine : of the fusion, "compiled" or "filterpy"; figures : whether each is also left as files
+    """
     say(f"reading {source}")
     log = read_source(source, manifest)
     folder = Path("results") / log.manifest.run.id if out is None else out
-    result = run_pass(log, RunSettings(), say)
+    result = run_pass(log, with_engine(RunSettings(), engine), say)
     say("writing the reports")
-    write_result(folder, result, finish)
+    write_result(folder, result, finish_with_figures if figures else finish)
     return {**headline(result.metrics), "out": str(folder), "report": str(folder / "report.html")}
+
+
+def finish_with_figures(folder: Path) -> None:
+    """Make the reports of the result in `folder`, and each figure as files."""
+    finish(folder)
+    write_figures(sections_of(read_result(folder)), folder / FIGURES)
 
 
 def headline(metrics: Mapping[str, Any]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from .adequacy import Rules
 from .campaign_settings import CampaignSettings
@@ -17,6 +18,17 @@ class RunSettings:
     fusion: FusionSettings = FusionSettings()
     replay: ReplaySettings = ReplaySettings()
     rules: Rules = Rules()
+
+
+def with_engine(settings: RunSettings, engine: str) -> RunSettings:
+    """The same options with another engine of the fusion: "compiled" or "filterpy".
+
+    Raises ValueError for another name.
+    """
+    if engine not in ("compiled", "filterpy"):
+        raise ValueError(f"engine {engine!r}: is neither compiled nor filterpy")
+    chosen: Literal["compiled", "filterpy"] = "compiled" if engine == "compiled" else "filterpy"
+    return replace(settings, fusion=replace(settings.fusion, engine=chosen))
 
 
 def of_campaign(campaign: CampaignSettings) -> RunSettings:

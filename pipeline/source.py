@@ -28,8 +28,10 @@ def read_source(source: Path, manifest: Path | None = None) -> FieldLog:
 def draft_pass(folder: Path, force: bool = False) -> dict[str, Any]:
     """Write a first run.toml into a folder of raw files; its path and the reasons for what it says.
 
-    Raises SourceError : there is one already, and `force` is not given.
+    Raises SourceError : no such folder; or there is one already, and `force` is not given.
     """
+    if not folder.is_dir():
+        raise SourceError(f"{folder}: is not a folder; give the one that holds the raw files")
     path = folder / "run.toml"
     if path.exists() and not force:
         raise SourceError(f"{path}: is there already; --force writes over it")

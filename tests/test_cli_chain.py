@@ -97,20 +97,23 @@ def test_ingest_and_inspect_agree_on_what_is_in_the_log(work: Path) -> None:
     assert (work / "again" / "field1.mcap").read_bytes() == (work / "logs" / "field1.mcap").read_bytes()
 
 
-def test_json_of_run_is_the_head_of_metrics(work: Path) -> None:
-    head = document(smts("run", "logs/field1.mcap", "-o", "json", "--json", folder=work))
+def test_json_of_run_is_the_head_of_metrics_and_the_reference_engine_says_the_same(work: Path) -> None:
+    words = ("run", "logs/field1.mcap", "-o", "json", "--json", "--engine", "filterpy", "--require-adequate")
+    ran = smts(*words, "--figures", folder=work)
+    head = json.loads(ran.stdout)
+    assert ran.returncode == (0 if head["verdict"]["value"] == "adequate" else 3)
     metrics = json.loads((work / "json" / "metrics.json").read_text(encoding="utf-8"))
     for key in ("schema", "run", "verdict", "discrepancy", "warnings"):
         assert head[key] == metrics[key]
+    assert list((work / "json" / "figures").glob("*.svg"))
+    compiled = json.loads((work / "results" / "field1" / "metrics.json").read_text(encoding="utf-8"))
+    for kind in ("trajectory", "yaw"):
+        ours = metrics["discrepancy"][kind]["combined"]
+        assert ours == pytest.approx(compiled["discrepancy"][kind]["combined"], rel=1e-3)
+    assert metrics["provenance"]["options"]["fusion"]["engine"] == "filterpy"
 
 
-def test_require_adequate_turns_any_other_verdict_into_status_three(work: Path) -> None:
-    verdict = json.loads((work / "results/field1/metrics.json").read_text(encoding="utf-8"))["verdict"][
-        "value"
-    ]
-    ran = smts("run", "logs/field1.mcap", "-o", "strict", "--require-adequate", folder=work)
-    assert ran.returncode == (0 if verdict == "adequate" else 3)
-    # a log without a row is always inconclusive
+def test_a_log_without_a_row_is_inconclusive_and_status_three_when_adequate_is_required(work: Path) -> None:
     plan = work / "short.toml"
     plan.write_text("[path]\nduration = 20.0\nrow_length = 30.0\n", encoding="utf-8")
     assert smts("synth", work / "short", "--plan", plan, "--id", "short").returncode == 0
@@ -244,3 +247,33 @@ def test_limits_are_options_and_a_size_that_means_nothing_is_wrong_use(passes: P
     assert "--time-limit" in events(ran)[0]["reason"]
     ran = smts("batch", one, "-o", tmp_path / "out", "-j", "1", "--memory-limit", "60M", "--json")
     assert "--memory-limit" in events(ran)[0]["reason"]
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("simulate", "--variant", "z"), "'z'"),
+        (("sweep", "--range", "nonsense=1:2"), "nonsense"),
+        (("sweep", "--range", "speed"), "speed"),
+        (("plan", "absent.toml"), "absent.toml"),
+        (("synth", "out", "--preset", "benin"), "benign"),
+        (("init", "absent"), "absent"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else "",
+)
+def test_what_a_command_cannot_use_is_named_in_one_line(
+    words: tuple[str, ...], named: str, tmp_path: Path
+) -> None:
+    ran = smts(*words, folder=tmp_path)
+    assert ran.returncode == 1
+    assert len(ran.stderr.splitlines()) == 1
+    assert named in ran.stderr
+    assert "unexpected" not in ran.stderr
+
+
+def test_a_small_sweep_prints_the_best_design_and_leaves_its_files(tmp_path: Path) -> None:
+    ran = smts("sweep", "--count", "16", "--soils", "2", "-j", "2", "-o", "swept", "--json", folder=tmp_path)
+    answer = document(ran)
+    assert answer["out"] == "swept"
+    assert all((tmp_path / file).is_file() for file in answer["files"])
+    assert answer["tables"][0]["rows"]
