@@ -39,6 +39,7 @@ from .study_response import (
     fit_surface,
     sensitivities,
     single_effects,
+    surface_sensitivities,
 )
 from .study_sweep import PAPER_QUESTION, Sweep, SweepPlan, parameter, run_sweep, write_sweep
 
@@ -108,15 +109,15 @@ def make_sweep(
     base: str = "b",
     index: str = "r95_1",
     workers: int = 2,
-    sobol_samples: int = 64,
+    sobol_samples: int = 0,
     plan: StudyPlan | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> SweepOutput:
     """Sweep parameters ("name=low:high"; none: the paper's v, l5, Pw) and answer which design runs
     straightest.
 
-    index : of study_indices.INDICES, by which straightness is judged; sobol_samples : a power of two, 0:
-    without sensitivities (nor with one parameter). Raises StudyError, one line.
+    index : of study_indices.INDICES, by which straightness is judged; sobol_samples : a power of two for
+    Sobol sensitivities by direct simulation, 0: those of the response surface. Raises StudyError, one line.
     """
     if index not in INDICES:
         raise StudyError(f"index {index!r}: unknown; known are {', '.join(INDICES)}")
@@ -136,9 +137,15 @@ def make_sweep(
         best_design(sweep, index),
         single_effects(chosen, index=index),
     )
-    few = dataclasses.replace(chosen, seeds=min(soils, 8))
-    found = sensitivities(few, index, sobol_samples) if sobol_samples and len(parameters) > 1 else None
+    found = _shares(chosen, surface, sobol_samples)
     files = [*write_sweep(out, sweep, answer_values(best, found, single))]
     files += write_files([surface_chart(surface)], out / "figures")
     tables = (best_block(best, chosen.base), *(() if found is None else (sensitivity_block(found),)))
     return SweepOutput(sweep, surface, best, single, found, tables, tuple(files))
+
+
+def _shares(plan: SweepPlan, surface: Surface, samples: int) -> Sensitivity | None:
+    """Sobol sensitivities, of the surface or (samples > 0) simulated; a single parameter has none."""
+    if len(plan.parameters) < 2:
+        return None
+    return sensitivities(plan, surface.index, samples) if samples else surface_sensitivities(plan, surface)

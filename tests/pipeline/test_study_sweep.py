@@ -18,6 +18,7 @@ from smts_validate.pipeline.study_response import (
     paired_effects,
     sensitivities,
     single_effects,
+    surface_sensitivities,
 )
 from smts_validate.pipeline.study_run import make_sweep
 from smts_validate.pipeline.study_sweep import (
@@ -140,9 +141,19 @@ def test_sensitivities_find_the_parameter_that_matters_and_the_one_that_does_not
     assert (found.total_interval[:, 0] <= found.total).all()
 
 
+def test_sensitivities_of_a_known_surface_are_the_shares_of_its_variance(sweep):
+    """ln y = u1 + 2·u2 over −1..1: variances 1/3 and 4/3, no interaction."""
+    surface = dataclasses.replace(fit_surface(sweep), coefficients=np.array([0.0, 1.0, 2.0] + [0.0] * 7))
+    found = surface_sensitivities(PLAN, surface)
+    assert found.first == pytest.approx([0.2, 0.8, 0.0], abs=0.02)
+    assert found.total == pytest.approx([0.2, 0.8, 0.0], abs=0.02)
+    assert (found.first_interval[:2, 0] < [0.2, 0.8]).all()
+    assert (found.first_interval[:2, 1] > [0.2, 0.8]).all()
+
+
 def test_sweep_leaves_a_table_an_answer_and_figures(tmp_path):
     ranges = ["seeder.hitch_to_com=2:3", "tyre_pressure_mpa=0.09:0.13"]
-    output = make_sweep(tmp_path, ranges, count=16, soils=2, sobol_samples=0, plan=SHORT)
+    output = make_sweep(tmp_path, ranges, count=16, soils=2, plan=SHORT)
     table = pd.read_parquet(tmp_path / "sweep.parquet")
     assert len(table) == 16
     assert {"seeder.hitch_to_com", "r95_1", "damping", "critical_speed"} <= set(table.columns)
