@@ -81,6 +81,7 @@ def test_empty_campaign_says_so_in_every_part() -> None:
         assert not charts_of((part,))
 
 
+@pytest.mark.slow
 def test_report_comes_again_with_exports(out: Path) -> None:
     before = (out / "report.pdf").read_bytes()
     assert remake(out, Exports(tables=("csv", "tex"))) == out / "report.html"
