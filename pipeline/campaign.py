@@ -18,10 +18,13 @@ from ..sensors.manifest import Manifest
 from .adequacy import ADEQUATE, INCONCLUSIVE, NOT_ADEQUATE, Verdict, judge_campaign
 from .bounds import DEVIATION1, DEVIATION2, YAW1, YAW2, PassStatistics, ResponseStatistics
 from .campaign_settings import CampaignError, CampaignSettings
+from .campaign_spectra import BODIES, StoredDensity, version_spectra
 from .effects import Effects, effects_of
 from .ensemble import ensemble_values, make_ensemble
 from .findings import PAPER, discrepancy_values, verdict_values
 from .operating import operating_curve
+from .report_view import PlotSeries
+from .result_tables import read_plots
 from .traditional import Track, of_cell
 
 Floats = NDArray[np.float64]
@@ -40,6 +43,7 @@ class PassRecord:
     row_length : m, mean of the compared rows
     factors : speed m/s, hitch_to_com m (None for a tractor alone), tyre_pressure_mpa
     straightness : indices by response, m or rad; tracks : the first compared row, by response
+    acceleration : density of the lateral acceleration, by body
     """
 
     manifest: Manifest
@@ -51,6 +55,7 @@ class PassRecord:
     straightness: Mapping[str, Mapping[str, float]]
     statistics: PassStatistics | None
     tracks: Mapping[str, Track]
+    acceleration: Mapping[str, StoredDensity]
 
     @property
     def run(self) -> str:
@@ -78,7 +83,8 @@ def read_record(folder: Path) -> PassRecord:
         manifest, _ = manifests.read(folder / "run.toml")
         path = folder / "comparison.parquet"
         columns = _columns(path) if path.is_file() else {}
-        return record_of(manifest, metrics, columns)
+        plots = folder / "plots.parquet"
+        return record_of(manifest, metrics, columns, read_plots(plots) if plots.is_file() else {})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CampaignError(f"{folder}: no result that can be read: {error}; run the pass again") from error
 
@@ -88,8 +94,13 @@ def _columns(path: Path) -> dict[str, Floats]:
     return {name: table[name].to_numpy().astype(np.float64) for name in table.column_names}
 
 
-def record_of(manifest: Manifest, metrics: Mapping[str, Any], columns: Mapping[str, Floats]) -> PassRecord:
-    """The record of a pass from its manifest, metrics.json and the columns of comparison.parquet."""
+def record_of(
+    manifest: Manifest,
+    metrics: Mapping[str, Any],
+    columns: Mapping[str, Floats],
+    plots: Mapping[str, Mapping[str, PlotSeries]] | None = None,
+) -> PassRecord:
+    """The record of a pass from its manifest, metrics.json, the columns of comparison.parquet and its plots."""
     compared = bool(metrics["responses"]) and bool(columns)
     rows = metrics["comparison"]["rows"]
     return PassRecord(
@@ -102,7 +113,25 @@ def record_of(manifest: Manifest, metrics: Mapping[str, Any], columns: Mapping[s
         straightness=metrics["straightness"],
         statistics=statistics_of(manifest, metrics, columns) if compared else None,
         tracks={n: _track(columns, n) for n in metrics["responses"]} if compared else {},
+        acceleration=_accelerations(metrics, plots or {}),
     )
+
+
+def _accelerations(
+    metrics: Mapping[str, Any], plots: Mapping[str, Mapping[str, PlotSeries]]
+) -> dict[str, StoredDensity]:
+    values, curves = metrics["spectra"].get("acceleration", {}), plots.get("acceleration", {})
+    return {
+        body: StoredDensity(
+            curves[f"{body} measured"].x,
+            curves[f"{body} measured"].y,
+            float(values[body]["dof"]),
+            int(values[body]["segments"]),
+            float(values[body]["segment_length"]),
+        )
+        for body in BODIES
+        if body in values and f"{body} measured" in curves
+    }
 
 
 def statistics_of(
@@ -278,6 +307,7 @@ def variant_values(
         "discrepancy": discrepancy_values(verdict.responses),
         "responses": {n: asdict(j) for n, j in verdict.responses.items()},
         "passes": [r.run for r in records],
+        "spectra": version_spectra([r.tracks for r in records], [r.acceleration for r in records]),
         "ensemble": version_ensemble(records),
         "operating_curve": [asdict(p) for p in operating_curve(_statistics(records), settings.rules, seed)],
     }

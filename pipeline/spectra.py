@@ -67,8 +67,8 @@ def _spatial(
     segment = round(density.segment_length / step)
     model = welch(simulated, step, segment)
     values["spatial"][NAMES[b]] = _density_values(density, "m3", "1/m") | {
-        "peaks": [_spatial_peak(p) for p in peaks(density)],
-        "peaks_simulated": [_spatial_peak(p) for p in peaks(model)],
+        "peaks": [spatial_peak(p) for p in peaks(density)],
+        "peaks_simulated": [spatial_peak(p) for p in peaks(model)],
     }
     plots["spatial"] |= {f"{NAMES[b]} measured": _series(density), f"{NAMES[b]} simulated": _series(model)}
     joint = cross(measured, simulated, step, segment)
@@ -91,7 +91,8 @@ def _series(density: Density) -> PlotSeries:
     return PlotSeries(density.frequency[1:], density.density[1:], density.low[1:], density.high[1:])
 
 
-def _spatial_peak(peak: Peak) -> dict[str, float]:
+def spatial_peak(peak: Peak) -> dict[str, float]:
+    """A peak of the deviation with its wavelength and the rms displacement of its band, mm."""
     return {
         "frequency": peak.frequency,
         "wavelength": 1.0 / peak.frequency,

@@ -121,8 +121,14 @@ def welch(signals: Sequence[Floats], step: float, segment: int | None = None) ->
     size = choose_segment(records, step) if segment is None else segment
     frequency, density, count = _average(records, step, size)
     dof = overlap_dof(records, size)
-    low, high = 2.0 * gammaincinv(dof / 2.0, [(1.0 + LEVEL) / 2.0, (1.0 - LEVEL) / 2.0])
-    return Density(frequency, density, density * dof / low, density * dof / high, dof, count, size * step)
+    low, high = band_of(dof)
+    return Density(frequency, density, density * low, density * high, dof, count, size * step)
+
+
+def band_of(dof: float) -> tuple[float, float]:
+    """Factors ν/χ² that make a density's 95 % band of ν degrees of freedom."""
+    chi2 = 2.0 * gammaincinv(dof / 2.0, [(1.0 + LEVEL) / 2.0, (1.0 - LEVEL) / 2.0])
+    return float(dof / chi2[0]), float(dof / chi2[1])
 
 
 def cross(inputs: Sequence[Floats], outputs: Sequence[Floats], step: float, segment: int) -> Cross:

@@ -24,6 +24,7 @@ from smts_validate.pipeline.campaign import (
     summarise_campaign,
 )
 from smts_validate.pipeline.campaign_settings import CampaignError, CampaignSettings, read_settings
+from smts_validate.pipeline.campaign_spectra import StoredDensity, averaged, version_spectra
 from smts_validate.pipeline.compare import compare
 from smts_validate.pipeline.findings import comparison_columns, metrics_of
 from smts_validate.pipeline.operating import operating_curve
@@ -383,3 +384,28 @@ def test_confusion_table_over_a_hundred_and_twenty_campaigns() -> None:
 def test_every_response_is_written_for_the_campaign_to_read() -> None:
     metrics, _ = stored(0)
     assert tuple(sorted(metrics["responses"])) == tuple(sorted(RESPONSES))
+
+
+def test_densities_are_averaged_over_passes_with_their_degrees_of_freedom() -> None:
+    frequency = np.linspace(0.1, 5.0, 50)
+    bump = np.exp(-(((frequency - 2.0) / 0.3) ** 2))
+    stored = [StoredDensity(frequency, size * bump, 4.0, 2, 10.0) for size in (1.0, 3.0)]
+    odd = StoredDensity(frequency[::2], bump[::2], 4.0, 2, 5.0)
+    found = averaged([*stored, odd])
+    assert found is not None
+    assert found.density[1:] == pytest.approx(2.0 * bump)
+    assert (found.dof, found.segments) == (8.0, 4)
+    values = version_spectra([], [{"tractor": s} for s in stored])["acceleration"]["tractor"]
+    assert values["peaks"][0]["frequency"] == pytest.approx(2.0, abs=0.06)
+    # ∫ 2·exp(−((f − 2)/0.3)²) df over (2π·2)⁴ is about (6.5 mm)²; the half-power band holds three quarters.
+    assert values["peaks"][0]["displacement_mm"] == pytest.approx(
+        1000.0 * np.sqrt(0.75 * 1.06) / 158.0, rel=0.1
+    )
+    assert averaged([]) is None
+
+
+def test_a_version_s_spectra_say_over_how_many_passes_they_run() -> None:
+    spatial = good().document["variants"]["b"]["spectra"]["spatial"]["tractor"]
+    assert spatial["passes"] == 6
+    assert spatial["segments"] >= 6
+    assert spatial["peaks"][0]["displacement_mm"] > 5.0
