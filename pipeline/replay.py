@@ -73,14 +73,22 @@ def drive_of(motion: Motion, row: Row, settings: ReplaySettings, steering: Float
 
     steering : (rows, N) rad on the motion's grid in place of the measured series, for Monte Carlo
     """
-    step = float(np.median(np.diff(motion.t)))
-    stop = min(row.stop + round(OVERRUN / step) + 1, motion.t.size)
-    part = slice(row.start, stop)
+    part = driven_samples(motion, row)
     if steering is None:
         steering = np.zeros(motion.t.size) if motion.steer_input is None else motion.steer_input.angle
     t0 = float(motion.t[row.start])
-    controls = Controls(t=motion.t[part] - t0, speed=motion.tractor.v[part], steer=steering[..., part])
+    held = np.atleast_2d(steering)[:, part]
+    # A series may end with the row: what lies beyond is held, as only the windows' overrun needs it.
+    last = held[:, [row.stop - 1 - row.start]]
+    held = np.where(np.isfinite(held), held, last)
+    controls = Controls(t=motion.t[part] - t0, speed=motion.tractor.v[part], steer=held)
     return Drive(t0, controls, settings.spacing, settings.simulation)
+
+
+def driven_samples(motion: Motion, row: Row) -> slice:
+    """The row's samples and those of the overrun behind it."""
+    step = float(np.median(np.diff(motion.t)))
+    return slice(row.start, min(row.stop + round(OVERRUN / step) + 1, motion.t.size))
 
 
 def initial_states(

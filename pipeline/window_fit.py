@@ -22,6 +22,7 @@ from .replay import (
     Window,
     cut_windows,
     drive_of,
+    driven_samples,
     initial_states,
     run_windows,
     shifted,
@@ -155,9 +156,9 @@ def trailed_run(
     """The seeder behind the measured tractor; yaw, rate : rad, rad/s added to the seeder's start."""
     motion, one, two = context.motion, context.motion.tractor, context.motion.seeder
     assert two is not None  # a trailed comparison is made for a pass with a seeder only
-    tractor = imposed_from_body(
-        motion.t - drive.t0, one.x, one.y, one.yaw, one.v, one.v_lateral, one.yaw_rate
-    )
+    part = driven_samples(motion, context.grid.row)
+    series = (one.x, one.y, one.yaw, one.v, one.v_lateral, one.yaw_rate)
+    tractor = imposed_from_body(motion.t[part] - drive.t0, *(values[part] for values in series))
     at = [w.start for w in windows]
     longest = max(w.stop - w.start for w in windows) * float(np.median(np.diff(motion.t)))
     return simulate_trailed_batch(

@@ -432,6 +432,17 @@ def test_a_steering_series_with_a_hole_excludes_the_row() -> None:
     assert "steering" in found.excluded[0].reason
 
 
+def test_a_steering_series_that_ends_with_its_row_is_enough() -> None:
+    plain = motion()
+    assert plain.steer_input is not None
+    angle = plain.steer_input.angle.copy()
+    angle[compared().rows[0].row.stop :] = np.nan
+    found = compare(
+        replace(plain, steer_input=replace(plain.steer_input, angle=angle)), machine(), manifest_of()
+    )
+    assert headline(found) == pytest.approx(headline(compared()), rel=0.05)
+
+
 def test_a_run_that_diverges_keeps_its_last_place_and_is_not_masked_away() -> None:
     fit = compared().rows[0].fits[0]
     x = np.array(fit.run.x1)
