@@ -94,7 +94,7 @@ def _average(signals: Sequence[Floats], step: float, segment: int) -> tuple[Floa
     density[0] /= 2.0
     if segment % 2 == 0:
         density[-1] /= 2.0
-    return np.fft.rfftfreq(segment, step), density, len(pieces)
+    return np.asarray(np.fft.rfftfreq(segment, step), np.float64), np.asarray(density), len(pieces)
 
 
 def overlap_dof(signals: Sequence[Floats], segment: int) -> float:
@@ -135,7 +135,8 @@ def cross(inputs: Sequence[Floats], outputs: Sequence[Floats], step: float, segm
     """Coherence and transfer from inputs to outputs, segments as in `welch`."""
     window = hann(segment, sym=False)
     scale = 2.0 * step / float(window @ window)
-    auto_x, auto_y, mixed, count = 0.0, 0.0, 0.0, 0
+    auto_x, auto_y = np.zeros(segment // 2 + 1), np.zeros(segment // 2 + 1)
+    mixed, count = np.zeros(segment // 2 + 1, np.complex128), 0
     for x, y in zip(inputs, outputs, strict=True):
         x, y = prepared(x), prepared(y)
         for i in segment_starts(x.size, segment):
@@ -148,7 +149,7 @@ def cross(inputs: Sequence[Floats], outputs: Sequence[Floats], step: float, segm
     coherence = np.abs(mixed) ** 2 / np.maximum(auto_x * auto_y, tiny)
     density = scale * np.asarray(auto_x) / max(count, 1)
     return Cross(
-        np.fft.rfftfreq(segment, step),
+        np.asarray(np.fft.rfftfreq(segment, step), np.float64),
         np.asarray(coherence),
         np.abs(response),
         np.angle(response),
