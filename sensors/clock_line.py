@@ -9,10 +9,15 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 DEVICE_DRIFT_SD = 2.0e-4  # rates of IMU crystals against the host
 CORRELATED_LATENCIES = 10.0  # so many neighbouring latencies tell as much as one independent one
 MAX_HULL_INPUT = 4096
+STRAY_SHARE = 0.05  # at most, of the points
+MIN_POINTS = 40
+COMPANY = 3.0
+LEAST_GAP = 1.0e-4  # s
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,37 @@ def _coarse_slope(x: Floats, y: Floats, starts: Ints) -> float:
     return float(slope)
 
 
+def early(x: Floats, y: Floats) -> Bools:
+    """Points far below all others: a broken digit made a stamp early, which no latency does; (N,).
+
+    Sorted by height, the lowest of many sound points stand close together. A gap that is wider than COMPANY times
+    the room that the ten points above it take parts strays from them.
+    """
+    most = max(10, round(STRAY_SHARE * x.size))
+    if x.size < MIN_POINTS:
+        return np.zeros(x.size, dtype=np.bool_)
+    order = np.argsort(x, kind="stable")
+    blocks = np.array_split(order, 20)
+    middle_x = np.array([np.median(x[block]) for block in blocks])
+    middle_y = np.array([np.median(y[block]) for block in blocks])
+    height = y - _steady_slope(middle_x, middle_y) * (x - middle_x[0])
+    low = np.sort(np.partition(height, most + 11)[: most + 12])
+    gaps = np.diff(low)[:most]
+    room = low[11 : most + 11] - low[1 : most + 1]
+    parting = np.flatnonzero((gaps > COMPANY * room) & (gaps > LEAST_GAP))
+    if parting.size == 0:
+        return np.zeros(x.size, dtype=np.bool_)
+    return np.asarray(height <= low[parting[-1]])
+
+
+def _steady_slope(x: Floats, y: Floats) -> float:
+    """Median of the slopes between all pairs of points (Theil and Sen); 0 where all x are one."""
+    first, second = np.triu_indices(x.size, 1)
+    apart = x[second] - x[first]
+    slopes = (y[second] - y[first])[apart > 0.0] / apart[apart > 0.0]
+    return float(np.median(slopes)) if slopes.size else 0.0
+
+
 def one_sided_line(x: Floats, y: Floats, slope: float = 0.0, slope_sd: float = DEVICE_DRIFT_SD) -> ClockLine:
     """The most probable line below points whose height above it is a never-negative latency.
 
@@ -76,9 +112,11 @@ def one_sided_line(x: Floats, y: Floats, slope: float = 0.0, slope_sd: float = D
 
     Parameters
     ----------
-    x, y : (N,) s, N ≥ 1; y measured on the clock whose stamps are late
+    x, y : (N,) s, N ≥ 1; y measured on the clock whose stamps are late. Strays far below (`early`) are left out
     slope, slope_sd : prior of the slope, 1
     """
+    sound = ~early(x, y)
+    x, y = x[sound], y[sound]
     centre = float(x.mean())
     px, py = _thinned(x - centre, y)
     vertices = lower_hull(px, py)

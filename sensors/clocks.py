@@ -50,6 +50,8 @@ MIN_SEGMENT = 5  # samples: fewer between two resets are a corrupt counter
 WANDER_WINDOW = 60.0  # s: short against the warming of an oscillator, long against bursts of latency
 WANDER_LEAST = 1.0e-3  # s
 LEAST_WINDOWS = 5
+TOO_EARLY = 1.0e-3  # s: no sample arrives before it is taken
+HALF_SAMPLE = 0.5
 STRAY_SHARE = 0.01  # of the rows may stand out of order where only the host's time tells
 STRAY_LIMIT = 1.0  # s, by which they may be late
 SURE_GAP = 2.5  # nominal periods: a longer gap is a lost sample, without a counter
@@ -73,8 +75,9 @@ class SampleTimes:
     t : (M,) s on the host's clock, true instant + the least latency
     host : (M,) s on the host's clock, arrival, jumps of that clock taken out
     drift : of the device's counter against the host, 1 (positive: counter runs fast); NaN without counter
-    doubled, disordered, resets : rows of the input that repeat a sample, come after a later one, begin a new
-        count; lost : samples missing in between; wraps : of the counter
+    doubled, disordered, strange, resets : rows of the input that repeat a sample, come after a later one, whose
+        clocks contradict each other (these are left out), that begin a new count
+    lost : samples missing in between; wraps : of the counter
     host_jumps : (row, size in s) where the host's clock was set
     """
 
@@ -84,6 +87,7 @@ class SampleTimes:
     drift: float
     doubled: Ints
     disordered: Ints
+    strange: Ints
     lost: int
     wraps: int
     resets: Ints
@@ -107,6 +111,7 @@ def find_steps(offset: Floats, window: int, threshold: float) -> list[tuple[int,
     on: latency comes and goes, a reset or a jump of a clock stays.
     """
     n = offset.size
+    offset = median_filter(offset, 7, mode="nearest")  # a few broken stamps are no step
     half = min(max(1, window // 2), n)
     width = 2 * half + 1
     edge = np.full(width, np.inf)
@@ -238,17 +243,22 @@ def _fitted(
     """Fit each segment's counter to the host's clock; one crystal: the longest segment's rate serves all."""
     longest = max(range(len(segments)), key=lambda k: devices[k].size)
     slope = _device_line(devices[longest], host[segments[longest]]).slope
-    index, t, doubled, disordered, lost = [], [], [], [], 0
+    index, t, doubled, disordered, strange, lost = [], [], [], [], [], 0
     for part, device in zip(segments, devices, strict=True):
         if device.size < MIN_SEGMENT and len(segments) > 1:
             continue
-        order = np.argsort(device, kind="stable")
-        fresh = np.diff(device[order], prepend=-np.inf) > 0.0
-        disordered.append(np.flatnonzero(np.diff(device) < 0.0) + 1 + part.start)
-        doubled.append(order[~fresh] + part.start)
-        kept = order[fresh]
         line = _device_line(device, host[part], slope, SHARED_RATE_SD) if len(segments) > 1 else None
         line = line or _device_line(device, host[part])
+        sound = host[part] - device - line(device) > -TOO_EARLY
+        if seq is not None:
+            sound &= _in_step(device, seq[part], rate)
+        strange.append(np.flatnonzero(~sound) + part.start)
+        order = np.flatnonzero(sound)[np.argsort(device[sound], kind="stable")]
+        fresh = np.diff(device[order], prepend=-np.inf) > 0.0
+        arrived = np.flatnonzero(sound)
+        disordered.append(arrived[1:][np.diff(device[arrived]) < 0.0] + part.start)
+        doubled.append(order[~fresh] + part.start)
+        kept = order[fresh]
         lost += _lost(device[kept], None if seq is None else seq[part][kept], rate)
         index.append(kept + part.start)
         t.append((device + line(device) + _wander(device, host[part], line))[kept])
@@ -265,11 +275,20 @@ def _fitted(
         -slope,
         np.sort(np.concatenate(doubled)),
         np.concatenate(disordered),
+        np.concatenate(strange),
         lost,
         wraps,
         resets,
         jumps,
     )
+
+
+def _in_step(device: Floats, seq: Ints, rate: float) -> Bools:
+    """Where counter and sample counter agree with the neighbours': a broken digit of either puts it out of step."""
+    if device.size < 5:
+        return np.ones(device.size, dtype=np.bool_)
+    ahead = device * rate - unwrap(seq, SEQ_SPAN, (device - device[0]) * rate)
+    return np.asarray(np.abs(ahead - median_filter(ahead, 5, mode="nearest")) < HALF_SAMPLE)
 
 
 def _device_line(
@@ -330,7 +349,7 @@ def _host_only(host: Floats, seq: Ints | None, rate: float, repeats: Bools | Non
     t = _spread(host[kept], rate)
     lost = _lost_in_gaps(t, rate) if seq is None else _lost(t, seq[kept], rate)
     none = np.zeros(0, dtype=np.int64)
-    return SampleTimes(kept, t, host[kept], float("nan"), doubled, stray, lost, 0, none, ())
+    return SampleTimes(kept, t, host[kept], float("nan"), doubled, stray, none, lost, 0, none, ())
 
 
 def _spread(host: Floats, rate: float) -> Floats:

@@ -170,6 +170,7 @@ def _clock_warnings(times: SampleTimes, rows: Ints, name: str, file: str) -> lis
     for where, what, effect in (
         (times.doubled, "doubled", "the first of each is used"),
         (times.disordered, "out of order", "sorted by time"),
+        (times.strange, "whose clocks contradict each other", "dropped"),
     ):
         if where.size:
             found.append(Warn(f"{rows_of(where.size)} {what}", effect, name, file, int(rows[where[0]])))

@@ -26,6 +26,7 @@ PLACED = (GGA, RMC, PANDA, PAOGI)
 TICKS = 1.0e3  # epochs are told apart to a millisecond
 MOST_LINES = 10_000_000  # two days of five sentences ten times a second
 MOST_COMMAS = 100_000_000
+BURST = 0.05  # s, within which the sentences of an epoch follow each other
 WEEK_ROLLOVER = 1024 * 7  # days: a receiver that lost count of GPS weeks is off by multiples of this
 MODE_QUALITY = {"A": 1.0, "D": 2.0, "P": 3.0, "R": 4.0, "F": 5.0, "E": 6.0, "N": 0.0}
 
@@ -333,13 +334,21 @@ def _first_day(stated: Floats, date: dt.date, file: str, name: str) -> tuple[flo
 
 
 def _nearest_timed(sentences: Sentences, timed: Ints, untimed: Ints) -> Ints:
-    """For sentences without time: the timed one before, or the one after where that arrived far sooner."""
+    """For sentences without time: the timed one before, or the one after where their kind is sent ahead of it.
+
+    A kind keeps its place in the burst, so the majority decides: single host times may be wrong.
+    """
     after = np.searchsorted(timed, untimed)
     before = np.maximum(after - 1, 0)
     after = np.minimum(after, timed.size - 1)
-    host = sentences.host_ns
+    host, kind = sentences.host_ns, sentences.kind[untimed]
     to_before, to_after = host[untimed] - host[timed[before]], host[timed[after]] - host[untimed]
-    return np.where((to_after >= 0) & (2 * to_after < to_before), after, before)
+    sooner = (to_after >= 0) & (2 * to_after < to_before)
+    ahead = np.zeros(untimed.size, dtype=np.bool_)
+    for one in range(len(KINDS)):
+        same = kind == one
+        ahead[same] = 2 * np.count_nonzero(sooner[same]) > np.count_nonzero(same)
+    return np.where(ahead, after, before)
 
 
 def _epochs(fields: Fields, sentences: Sentences, utc: Floats) -> RawGnss:
@@ -357,9 +366,26 @@ def _epochs(fields: Fields, sentences: Sentences, utc: Floats) -> RawGnss:
     for key in ("lat", "lon", "alt"):
         values[key] = np.where(nowhere, np.nan, values[key])
     values["quality"] = np.nan_to_num(values["quality"])
-    host = sentences.host_ns[first]
     prefixed = bool((sentences.host_ns >= 0).all())
-    return RawGnss(utc[first], host if prefixed else None, sentences.row[first], values)
+    host = _arrivals(sentences, first, epoch) if prefixed else None
+    return RawGnss(utc[first], host, sentences.row[first], values)
+
+
+def _arrivals(sentences: Sentences, first: Ints, epoch: Ints) -> Ints:
+    """When each epoch's first sentence arrived, ns.
+
+    No checksum covers the logger's time. Sentences of an epoch come in a burst, each kind in its place, so where
+    the first one's time contradicts the others', theirs less the usual delay of their kind is taken.
+    """
+    host = sentences.host_ns[first]
+    behind = np.full((first.size, len(KINDS)), np.nan)
+    behind[epoch, sentences.kind] = (sentences.host_ns - host[epoch]) * 1.0e-9
+    present = np.flatnonzero(~np.isnan(behind).all(axis=0))
+    behind = behind[:, present]
+    late = behind - np.nanmedian(behind, axis=0)
+    error = np.nanmedian(late, axis=1)
+    wrong = (np.abs(error) > BURST) & (np.count_nonzero(~np.isnan(late), axis=1) > 2)
+    return host + np.where(wrong, np.rint(error * 1.0e9), 0.0).astype(np.int64)
 
 
 def _refusal_warnings(refused: Refusals, file: str, name: str) -> list[Warn]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 from smts_validate.sensors import clocks
+from smts_validate.sensors.clock_line import early
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -260,6 +261,34 @@ def test_with_a_flat_prior_the_line_is_the_linear_programme_s(seed: int, n: int)
     best = linprog([-1.0, 0.0], A_ub=below, b_ub=y, bounds=[(None, None)] * 2)
     assert line(x).mean() == pytest.approx(best.x[0], abs=1e-6)
     assert (line(x) <= y + 1e-9).all()
+
+
+@pytest.mark.parametrize("shape", [0.7, 1.0, 2.0, 5.0])
+def test_early_stamps_are_told_from_quick_ones(shape: float) -> None:
+    rng = np.random.default_rng(30)
+    for trial in range(20):
+        x = np.sort(rng.uniform(0.0, 60.0, 3000))
+        y = 1e-4 * x + rng.gamma(shape, 4e-3, x.size)
+        assert early(x, y).sum() <= 1, trial
+        broken = rng.choice(x.size, 15, replace=False)
+        y[broken] -= rng.uniform(0.05, 0.9, 15)
+        found = set(np.flatnonzero(early(x, y)).tolist())
+        assert set(broken.tolist()) <= found
+        assert len(found) <= 16
+
+
+def test_broken_digits_of_either_clock_shift_nothing_and_are_dropped() -> None:
+    unit = a_unit(seed=31, drift=70e-6)
+    rng = np.random.default_rng(31)
+    broken = np.sort(rng.choice(np.arange(10, 5990), 60, replace=False))
+    unit.host[broken[:20]] -= rng.uniform(0.02, 0.9, 20)
+    unit.counter[broken[20:40]] += rng.integers(8_000, 900_000, 20)
+    unit.counter[broken[40:]] -= rng.integers(8_000, 900_000, 20)
+    times, error = error_of(unit)
+    assert times.host_jumps == ()
+    assert set(broken.tolist()) <= set(times.strange.tolist())
+    assert times.strange.size < 75
+    assert np.abs(error).max() < 2e-4
 
 
 def test_thinning_a_long_scatter_changes_nothing_that_matters() -> None:

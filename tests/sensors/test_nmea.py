@@ -80,6 +80,22 @@ def test_an_epoch_arrives_with_its_first_sentence() -> None:
     assert gnss.host_ns.tolist() == [1000]
 
 
+def test_a_broken_digit_in_a_host_time_is_seen_in_the_burst() -> None:
+    lines = []
+    for k in range(20):
+        stamp = 1_747_303_262_000_000_000 + k * 100_000_000
+        bodies = (gga(f"100100.{k:02d}"), sentence("GNVTG,,T,,M,,N,10.0,K,R"), sentence("GNHDT,30.0,T"))
+        lines += [f"{stamp + 5_000_000 * n} {body}" for n, body in enumerate(bodies)]
+    right = nmea.parse("\n".join(lines).encode() + b"\n", "gps.nmea", "gps", DATE).host_ns
+    lines[30] = lines[30].replace(
+        "1747303263", "1747303262", 1
+    )  # the first sentence of epoch 10, a second early
+    found = nmea.parse("\n".join(lines).encode() + b"\n", "gps.nmea", "gps", DATE).host_ns
+    assert found is not None
+    assert right is not None
+    assert np.abs(found - right).max() < 1_000_000
+
+
 def test_a_speed_sent_before_its_position_belongs_to_it() -> None:
     gnss = parsed(
         f"1000000000 {gga('100100.00')}",
