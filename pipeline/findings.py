@@ -107,15 +107,25 @@ def _headline(pair: Sequence[Judged | None]) -> dict[str, Any]:
     present = [j for j in pair if j is not None]
     # Seeder only (the tractor is not testable): then nothing speaks for both, and `combined` stays null.
     testable = bool(present) and pair[0] is not None
-    low, high = (
-        _quadratic_mean([getattr(j, end) for j in present]) if testable else None for end in ("lo", "hi")
-    )
+    ends = [shown_interval(j) for j in present] if testable else []
+    low, high = (_quadratic_mean([None if e is None else e[side] for e in ends]) for side in (0, 1))
     return {
         "body1": tractor,
         "body2": seeder,
         "combined": _percent(_quadratic_mean([j.d for j in present])) if testable else None,
         "interval": None if low is None or high is None else [_percent(low), _percent(high)],
     }
+
+
+def shown_interval(judged: Judged) -> tuple[float, float] | None:
+    """The interval as it is printed: from D_lo to D_hi, widened to hold D itself.
+
+    D_hi and D_lo have known measuring error removed and D has not, so D may lie above both; an interval that does
+    not hold its own figure would read as a mistake. The verdict uses D_hi and D_lo as they are.
+    """
+    if judged.d is None or judged.lo is None or judged.hi is None:
+        return None
+    return min(judged.lo, judged.d), max(judged.hi, judged.d)
 
 
 def _quadratic_mean(values: Sequence[float | None]) -> float | None:
@@ -158,13 +168,14 @@ def response_values(judged: Judged, name: str, comparison: Comparison) -> dict[s
     """One response's numbers behind the headline, in percent and in its unit."""
     statistics = comparison.statistics
     own = None if statistics is None else statistics.responses.get(name)
+    interval = shown_interval(judged)
     return {
         "unit": UNITS[name],
         "percent": _percent(judged.d),
         "percent_null": _percent(judged.d_null),
-        "interval": None
-        if judged.lo is None or judged.hi is None
-        else [_percent(judged.lo), _percent(judged.hi)],
+        "interval": None if interval is None else [_percent(end) for end in interval],
+        "d_low": _percent(judged.lo),
+        "d_high": _percent(judged.hi),
         "rmse": judged.rmse,
         "rmse_null": None if own is None else float(np.sqrt(own.null_mse)),
         "r95": judged.r95,

@@ -596,3 +596,15 @@ def test_a_pass_of_sixty_seconds_is_compared_in_under_two_seconds_once_compiled(
     start = time.process_time()
     compare(motion(1), machine(), manifest_of())
     assert time.process_time() - start < 2.0
+
+
+def test_the_printed_interval_holds_its_own_figure() -> None:
+    for seed in range(3):
+        found = compared(seed)
+        document = metrics_of(manifest_of(), motion(seed), found, judge_pass(found.statistics))
+        for kind in ("trajectory", "yaw"):
+            low, high = document["discrepancy"][kind]["interval"]
+            assert low <= document["discrepancy"][kind]["combined"] <= high
+        for values in document["responses"].values():
+            assert values["interval"][0] <= values["percent"] <= values["interval"][1]
+            assert values["d_low"] <= values["d_high"]
