@@ -12,6 +12,7 @@ from typing import Any
 
 from fpdf import FPDF
 from fpdf.enums import MethodReturnValue, XPos, YPos
+from fpdf.fonts import TTFFont
 from pypdf import PageObject, PdfReader, PdfWriter
 from pypdf.generic import ArrayObject, DictionaryObject, FloatObject, NameObject, StreamObject
 
@@ -23,6 +24,7 @@ MARGIN = 18.0  # mm
 PAGE_WIDTH, PAGE_HEIGHT = 210.0, 297.0
 TEXT_WIDTH = PAGE_WIDTH - 2.0 * MARGIN
 FOOT = 16.0  # mm at the bottom
+MISSING_GLYPH = "□"
 TABLE_START = 34.0  # mm that a table needs to begin on a page: caption, heading, a few rows
 TABLE_SIZES, LINE = (7.5, 7.0, 6.5, 6.0), 3.9  # pt, mm
 POINT = 25.4 / 72.0  # mm
@@ -54,6 +56,14 @@ class _Sheet(FPDF):
         super().__init__("P", "mm", "A4")
         self.short = short
         self.placed: list[_Placed] = []
+        self.glyphs: frozenset[int] = frozenset()
+
+    def normalize_text(self, text: str) -> str:
+        """The text with a box for every sign that the font lacks: manifests may hold any."""
+        shown = "".join(
+            sign if ord(sign) in self.glyphs else MISSING_GLYPH for sign in text.replace("\t", " ")
+        )
+        return str(super().normalize_text(shown if self.glyphs else text))
 
     def footer(self) -> None:
         """Name of the run and page number of how many, under a rule."""
@@ -92,6 +102,8 @@ def _sheet(head: Head, date: dt.date) -> _Sheet:
         ("I", "DejaVuSans-Oblique.ttf"),
     ):
         sheet.add_font("Sans", emphasis, fonts / file)
+    covered = [frozenset(font.cmap) for font in sheet.fonts.values() if isinstance(font, TTFFont)]
+    sheet.glyphs = frozenset.intersection(*covered) | {ord("\n")}
     sheet.set_creation_date(dt.datetime.combine(date, dt.time(), dt.UTC))
     sheet.set_title(head.title)
     sheet.set_lang("en")

@@ -27,6 +27,7 @@ from smts_validate.pipeline.remake import Exports, RemakeError, remake
 from smts_validate.pipeline.report_blocks import Chart, Curve, Missing, Panel, Table, charts_of, tables_of
 from smts_validate.pipeline.result import PassResult, read_result, write_result
 from smts_validate.pipeline.sections import SECTIONS
+from smts_validate.sensors import manifest as manifests
 
 
 class Page(HTMLParser):
@@ -252,6 +253,18 @@ def test_pdf_is_numbered_has_the_verdict_and_no_pixels(out: Path) -> None:
     assert forms == len(charts_of(report.sections_of(read_result(out)))) + equations
     assert document.metadata is not None
     assert document.metadata.title == "Adequacy report: sample-1"
+
+
+def test_signs_that_the_pdfs_font_lacks_become_boxes_without_a_word(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    text = samples.toml().replace("Lower <b>Meadow</b>", "玉米 \\u0001 🌽")
+    odd = replace(samples.pass_result(), manifest=manifests.parse(text), manifest_text=text)
+    made = _made(tmp_path, odd)
+    assert "玉米" in Page((made / "report.html").read_text(encoding="utf-8")).text
+    assert "Field □□ □ □" in pypdf.PdfReader(made / "report.pdf").pages[0].extract_text()
+    assert caplog.text == ""
+    assert capfd.readouterr() == ("", "")
 
 
 def test_pdf_has_bookmarks_for_its_sections(out: Path) -> None:
