@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,6 @@ from ..wheels import WheelMotion, choose_steer_input
 from . import output
 from . import state as s
 from .consistency import assess, innovations
-from .draws import posterior_errors
 from .engine_compiled import Filtered, Smoothed
 from .filtering import unpack
 from .known import Known
@@ -26,17 +26,34 @@ from .steering import best_steering
 
 Floats = NDArray[np.float64]
 
-LONG = 60_000  # nodes: longer passes get half the draws
 # Constant crab, unseen, as a share of the slip angle's standard deviation: side forces average out along a row.
 CRAB = 0.1
 OUTAGE = 2.0  # s without an accepted position that is worth a warning
 
 
+@dataclass(frozen=True)
+class Settled:
+    """The last sweep: problem, filter (of its covariances the last alone), smoother, draws of the KEPT components'
+    error at instants `draw_t` (inertial time), and how often the receiver jumped for good."""
+
+    task: Problem
+    filtered: Filtered
+    smooth: Smoothed
+    draw_t: Floats
+    errors: Floats
+    jumps: int
+
+
 def assemble(
-    known: Known, options: FusionSettings, levels: Levels, free: tuple[str, ...], task: Problem, filtered: Filtered,
-    smooth: Smoothed, wheels: Mapping[str, WheelMotion], jumps: int,
-) -> Motion:  # fmt: skip
+    known: Known,
+    options: FusionSettings,
+    levels: Levels,
+    free: tuple[str, ...],
+    settled: Settled,
+    wheels: Mapping[str, WheelMotion],
+) -> Motion:
     """The pass's `Motion` from the last filter and smoother."""
+    task, filtered, smooth, jumps = settled.task, settled.filtered, settled.smooth, settled.jumps
     lag = float(smooth.x[-1, s.LAG])
     t = output.utc_grid(known.t, lag)
     p = task.parameters
@@ -45,7 +62,9 @@ def assemble(
     lateral1, lateral2 = (np.interp(t + lag, known.t, a) for a in lateral_accelerations(known, smooth.x))
     tractor = output.tractor_motion(at, p, CRAB * levels.beta1, lateral1)
     seeder = output.seeder_motion(at, p, CRAB * levels.beta2, lateral2) if known.two is not None else None
-    draw_t, draws = _draws(known, options, task, filtered, smooth, lag)
+    draw_t = settled.draw_t - lag
+    every = output.at_utc(known.t, draw_t, lag, smooth.x, smooth.P, tilt2)
+    draws = output.body_draws(settled.errors, every, p, known.two is not None)
     given = choose_steer_input(known.log, t + lag, wheels)
     steer, sd_steer = best_steering(
         t, tractor, given, known.log.manifest.machine.tractor.front_axle, levels.beta1
@@ -56,7 +75,7 @@ def assemble(
         t=t, origin=known.origin, tractor=tractor, seeder=seeder, steer=steer, sd_steer=sd_steer, steer_input=given,
         draw_t=draw_t, draws=draws, gnss_t=gnss_t, consistency=consistency,
         consistent=all(c.consistent for c in consistency), noise=noise_table(known, levels, free, p),
-        calibration=calibration(smooth.x[-1], filtered.P[-1], known, wheels),
+        calibration=calibration(smooth.x[-1], filtered.P[-1], int(p[s.P_ACTIVE]), known, wheels),
         innovations=innovations(task.measurements, filtered, known.t - lag),
         warnings=warnings_of(known, gnss_t, t, consistency, jumps, wheels),
     )  # fmt: skip
@@ -81,17 +100,6 @@ def _slope(rate: Floats) -> Floats:
     return np.asarray(savgol_filter(rate, 5, 2, deriv=1, delta=STEP))
 
 
-def _draws(
-    known: Known, options: FusionSettings, task: Problem, filtered: Filtered, smooth: Smoothed, lag: float
-) -> tuple[Floats, Floats]:
-    """Instants (UTC) and draws of the bodies' errors."""
-    count = options.draws if known.t.size <= LONG else max(options.draws // 2, 1)
-    when, error = posterior_errors(task, filtered, smooth.x, count, options.seed)
-    tilt2 = (known.nodes[:, s.N_ROLL2], known.nodes[:, s.N_PITCH2])
-    every = output.at_utc(known.t, when - lag, lag, smooth.x, smooth.P, tilt2)
-    return when - lag, output.body_draws(error, every, task.parameters, known.two is not None)
-
-
 def accepted_times(task: Problem, f: Filtered) -> Floats:
     """UTC of the accepted positions of the main receiver, s."""
     q = task.measurements
@@ -99,10 +107,12 @@ def accepted_times(task: Problem, f: Filtered) -> Floats:
     return np.asarray(np.unique(task.t[0] + q.node[m] * STEP + q.ahead[m]))
 
 
-def calibration(x: Floats, packed: Floats, known: Known, wheels: Mapping[str, WheelMotion]) -> dict[str, Any]:
+def calibration(
+    x: Floats, packed: Floats, count: int, known: Known, wheels: Mapping[str, WheelMotion]
+) -> dict[str, Any]:
     """Estimated constants with standard deviations at the end of the pass."""
-    P = np.empty((s.SIZE, s.SIZE))
-    unpack(packed, P)
+    P = np.zeros((s.SIZE, s.SIZE))
+    unpack(packed, P, count)
     units = {
         "lag": (s.LAG, "s"), "gyro_bias_x": (s.BGX, "rad/s"), "gyro_bias_y": (s.BGY, "rad/s"),
         "gyro_bias_z": (s.BGZ, "rad/s"), "accel_bias_x": (s.BAX, "m/s2"), "accel_bias_y": (s.BAY, "m/s2"),

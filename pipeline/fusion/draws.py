@@ -11,11 +11,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .engine_compiled import Filtered
-from .filtering import unpack
+from .filtering import KEEP, unpack
 from .kernels import PATTERN, process_noise, transition
 from .prepare import STEP
 from .problem import Problem
-from .state import EX, EY, FX, FY, SIZE
+from .state import EX, EY, FX, FY, P_ACTIVE, SIZE
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -60,20 +60,12 @@ def _add_noise(row: Floats, variance: float, rng: np.random.Generator) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _copy(a: Floats, out: Floats) -> None:
-    """A matrix into another."""
-    for i in range(a.shape[0]):
-        for c in range(a.shape[1]):
-            out[i, c] = a[i, c]
-
-
-@njit(cache=True, error_model="numpy")
 def _add_product(P: Floats, lam: Floats, out: Floats) -> None:
-    """P·lambda added to `out`, (SIZE, K)."""
-    for i in range(SIZE):
+    """Rows KEEP of P·lambda added to `out`, (kept, K)."""
+    for a in range(KEEP.size):
         for j in range(SIZE):
             for c in range(lam.shape[1]):
-                out[i, c] += P[i, j] * lam[j, c]
+                out[a, c] += P[KEEP[a], j] * lam[j, c]
 
 
 @njit(cache=True, error_model="numpy")
@@ -128,7 +120,9 @@ def _simulate(
                 for c in range(draws):
                     d[i, c] -= K[m, i] * nu[m, c]
         if k % gap == 0:
-            _copy(d, error[k // gap])
+            for a in range(KEEP.size):
+                for c in range(draws):
+                    error[k // gap, a, c] = d[KEEP[a], c]
 
 
 @njit(cache=True, error_model="numpy")
@@ -150,7 +144,7 @@ def _smooth(
     """Backward: turn filter errors into smoother errors, error + P·lambda, in place at the kept nodes."""
     draws = nu.shape[1]
     lam, out = np.zeros((SIZE, draws)), np.empty((SIZE, draws))
-    P, F = np.empty((SIZE, SIZE)), np.eye(SIZE)
+    P, F = np.zeros((SIZE, SIZE)), np.eye(SIZE)
     last = lin.shape[0] - 1
     for back in range(last + 1):
         k = last - back
@@ -159,7 +153,7 @@ def _smooth(
             _adjoint_step(F, lam, out)
             lam, out = out, lam
         if k % gap == 0:
-            unpack(packed[k], P)
+            unpack(packed[k], P, int(p[P_ACTIVE]))
             _add_product(P, lam, error[k // gap])
         for m in range(starts[k + 1] - 1, starts[k] - 1, -1):
             if not used[m]:
@@ -176,11 +170,11 @@ def _smooth(
 def posterior_errors(
     problem: Problem, f: Filtered, lin: Floats, draws: int, seed: int
 ) -> tuple[Floats, Floats]:
-    """Instants (M,) and draws (M, SIZE, K) of the smoother's error, estimate minus truth, at every 0.1 s."""
+    """Instants (M,), every 0.1 s, and draws (M, kept, K) of the KEPT components' error, estimate minus truth."""
     n = problem.t.size
     q = problem.measurements
     starts = q.starts(n)
-    error = np.empty(((n - 1) // EVERY + 1, SIZE, draws))
+    error = np.empty(((n - 1) // EVERY + 1, KEEP.size, draws))
     nu = np.zeros((q.kind.size, draws))
     _simulate(
         problem.P0, problem.step_inputs, STEP, starts, q.var, problem.inject, problem.parameters, lin, f.H, f.K,

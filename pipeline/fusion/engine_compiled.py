@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from . import filtering
 from .prepare import STEP
 from .problem import Problem
-from .state import KEPT, SIZE
+from .state import KEPT, P_ACTIVE, SIZE
 
 Floats = NDArray[np.float64]
 TRIANGLE = SIZE * (SIZE + 1) // 2
@@ -18,8 +18,9 @@ TRIANGLE = SIZE * (SIZE + 1) // 2
 
 @dataclass(frozen=True)
 class Filtered:
-    """Forward pass: x (N, SIZE), P packed (N, TRIANGLE), and for each scalar measurement its row H, gain K,
-    innovation variance S, innovation nu, and whether it was used."""
+    """Forward pass: x (N, SIZE), P (N, n(n+1)/2) the packed covariance of the n active components, and for each
+    scalar measurement its row H, gain K, innovation variance S, innovation nu, and whether it was used.
+    """
 
     x: Floats
     P: Floats
@@ -43,7 +44,8 @@ def run_filter(problem: Problem, lin: Floats | None, store: bool = True) -> Filt
     """Filter forward; `lin` (N, SIZE): path to linearise about, None: about the filter's own estimate."""
     n, m = problem.t.size, problem.measurements.kind.size
     rows, keep = (m, n) if store else (1, 1)
-    out_x, out_P = np.empty((keep, SIZE)), np.empty((keep, TRIANGLE))
+    count = int(problem.parameters[P_ACTIVE])
+    out_x, out_P = np.empty((keep, SIZE)), np.empty((keep, count * (count + 1) // 2))
     H, K = np.zeros((rows, SIZE)), np.zeros((rows, SIZE))
     S, nu, used = np.zeros(rows), np.zeros(rows), np.zeros(rows, dtype=np.bool_)
     q = problem.measurements

@@ -15,7 +15,7 @@ from .filtering import is_given, is_pair, pack, unpack
 from .kernels import GATE_1, GATE_2, predict, process_noise, transition
 from .prepare import STEP
 from .problem import Problem
-from .state import EX, EY, FX, FY, KEPT, SIZE
+from .state import EX, EY, FX, FY, KEPT, P_ACTIVE, SIZE
 
 Floats = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def run_filter(task: Problem, lin: Floats | None, store: bool = True) -> Filtere
             row, gained = _update(ekf, task, row, task.node_inputs[k], None if lin is None else lin[k], out)
             total += gained
         out.x[k] = ekf.x
-        pack(ekf.P, out.P[k])
+        pack(ekf.P, out.P[k], int(task.parameters[P_ACTIVE]))
     return Filtered(out.x, out.P, out.H, out.K, out.S, out.nu, out.used, total)
 
 
@@ -100,11 +100,12 @@ def run_smoother(task: Problem, f: Filtered, lin: Floats | None) -> Smoothed:
     """Rauch-Tung-Striebel: x_s = x + G(x_s' − x'), G = P·Fᵀ·P'⁻¹ with the stored filter's predictions."""
     n = task.t.size
     x, P = f.x.copy(), np.empty((n, len(KEPT), len(KEPT)))
-    now, later = np.empty((SIZE, SIZE)), np.empty((SIZE, SIZE))
-    unpack(f.P[n - 1], later)
+    now, later = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
+    count = int(task.parameters[P_ACTIVE])
+    unpack(f.P[n - 1], later, count)
     P[n - 1] = later[np.ix_(KEPT, KEPT)]
     for k in range(n - 2, -1, -1):
-        unpack(f.P[k], now)
+        unpack(f.P[k], now, count)
         predicted, F, q = _advance(task, k + 1, f.x[k] if lin is None else lin[k], f.x[k])
         ahead = F @ now @ F.T + np.diag(q)
         live = np.diag(ahead) > 0.0

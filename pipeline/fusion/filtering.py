@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .kernels import GATE_1, GATE_2, PATTERN, predict, process_noise, transition
-from .state import EX, EY, FX, FY, HITCH, KEPT, PAIRED, SIZE, STILL_AX, STILL_V
+from .state import EX, EY, FX, FY, HITCH, KEPT, P_ACTIVE, PAIRED, SIZE, STILL_AX, STILL_V
 
 KEEP = np.array(KEPT, dtype=np.int64)
 PAIRS = np.array(PAIRED, dtype=np.int64)
@@ -23,27 +23,33 @@ Bools = NDArray[np.bool_]
 
 
 @njit(cache=True, error_model="numpy")
-def propagate(P: Floats, F: Floats, q: Floats) -> None:
-    """F·P·Fᵀ + diag(q) in place, skipping the structural zeros of F."""
-    n = SIZE
-    A = np.empty((n, n))
+def times_transition(F: Floats, A: Floats, out: Floats, n: int) -> None:
+    """F·A into `out`, row by row, skipping the structural zeros of F."""
     for i in range(n):
         d = F[i, i]
         for j in range(n):
-            A[i, j] = d * P[i, j]
+            out[i, j] = d * A[i, j]
     for e in range(PATTERN.shape[0]):
         i, m = PATTERN[e, 0], PATTERN[e, 1]
         f = F[i, m]
         for j in range(n):
-            A[i, j] += f * P[m, j]
+            out[i, j] += f * A[m, j]
+
+
+@njit(cache=True, error_model="numpy")
+def transpose(A: Floats, out: Floats, n: int) -> None:
+    """Aᵀ into `out`."""
     for i in range(n):
         for j in range(n):
-            P[i, j] = A[i, j] * F[j, j]
-    for e in range(PATTERN.shape[0]):
-        j, m = PATTERN[e, 0], PATTERN[e, 1]
-        f = F[j, m]
-        for i in range(n):
-            P[i, j] += A[i, m] * f
+            out[j, i] = A[i, j]
+
+
+@njit(cache=True, error_model="numpy")
+def propagate(P: Floats, F: Floats, q: Floats, A: Floats, B: Floats, n: int) -> None:
+    """F·P·Fᵀ + diag(q) in place: rows only, F·(F·P)ᵀ, as P is symmetric. A, B : scratch (SIZE, SIZE)."""
+    times_transition(F, P, A, n)
+    transpose(A, B, n)
+    times_transition(F, B, P, n)
     for i in range(n):
         P[i, i] += q[i]
 
@@ -59,15 +65,14 @@ def carry(F: Floats, x: Floats, point: Floats, there: Floats) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def gain(P: Floats, H: Floats, var: float, K: Floats) -> float:
+def gain(P: Floats, H: Floats, var: float, K: Floats, n: int) -> float:
     """Innovation variance S = H·P·Hᵀ + var and gain K = P·Hᵀ/S of a scalar measurement."""
-    n = SIZE
     K[:] = 0.0
     for j in range(n):
         if H[j] != 0.0:
             h = H[j]
-            for i in range(n):
-                K[i] += P[i, j] * h
+            for i in range(n):  # P is symmetric: row j is column j, and lies together
+                K[i] += P[j, i] * h
     S = var
     for i in range(n):
         if H[i] != 0.0:
@@ -78,14 +83,12 @@ def gain(P: Floats, H: Floats, var: float, K: Floats) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def correct(x: Floats, P: Floats, K: Floats, S: float, innovation: float) -> None:
-    """x + K·innovation and P − K·S·Kᵀ in place, kept symmetric."""
-    n = SIZE
+def correct(x: Floats, P: Floats, K: Floats, S: float, innovation: float, n: int) -> None:
+    """x + K·innovation and P − K·S·Kᵀ in place; products of two gains commute, so P stays symmetric."""
     for i in range(n):
         x[i] += K[i] * innovation
-        for j in range(i + 1):
-            P[i, j] -= K[i] * S * K[j]
-            P[j, i] = P[i, j]
+        for j in range(n):
+            P[i, j] -= S * (K[i] * K[j])
 
 
 @njit(cache=True, error_model="numpy")
@@ -183,7 +186,7 @@ def update_node(
             total -= 0.5 * gate
         for i in range(count):
             r = m + i if store else 0
-            S[r] = gain(P, rows[i], var[m + i], K[r])
+            S[r] = gain(P, rows[i], var[m + i], K[r], int(p[P_ACTIVE]))
             nu[r] = left[i]
             for e in range(SIZE):
                 H[r, e] = rows[i, e]
@@ -192,26 +195,26 @@ def update_node(
             total -= 0.5 * np.log(S[r])
             if passes:
                 total -= 0.5 * nu[r] * nu[r] / S[r]
-                correct(x, P, K[r], S[r], nu[r])
+                correct(x, P, K[r], S[r], nu[r], int(p[P_ACTIVE]))
         m += count
     return total
 
 
 @njit(cache=True, error_model="numpy")
-def pack(P: Floats, row: Floats) -> None:
+def pack(P: Floats, row: Floats, n: int) -> None:
     """Lower triangle of a symmetric matrix into a row."""
     e = 0
-    for i in range(SIZE):
+    for i in range(n):
         for j in range(i + 1):
             row[e] = P[i, j]
             e += 1
 
 
 @njit(cache=True, error_model="numpy")
-def unpack(row: Floats, P: Floats) -> None:
+def unpack(row: Floats, P: Floats, n: int) -> None:
     """The symmetric matrix whose lower triangle `pack` wrote."""
     e = 0
-    for i in range(SIZE):
+    for i in range(n):
         for j in range(i + 1):
             P[i, j] = row[e]
             P[j, i] = row[e]
@@ -245,7 +248,8 @@ def forward(
 ) -> float:
     """Filter all nodes; returns the log-likelihood. With `linear` everything is linearised at `lin` (N, SIZE)."""
     x, P = x0.copy(), P0.copy()
-    F = np.eye(SIZE)
+    n = int(p[P_ACTIVE])
+    F, A, B = np.eye(SIZE), np.empty((SIZE, SIZE)), np.empty((SIZE, SIZE))
     q = np.empty(SIZE)
     total = 0.0
     for k in range(nodes.shape[0]):
@@ -260,7 +264,7 @@ def forward(
             q[EY] += inject[k, 0]
             q[FX] += inject[k, 1]
             q[FY] += inject[k, 1]
-            propagate(P, F, q)
+            propagate(P, F, q, A, B, n)
         total += update_node(
             x, P, lin[k] if linear else x, linear, nodes[k], kinds, z, var, ahead, p,
             starts[k], starts[k + 1], H, K, S, nu, used, store,
@@ -268,21 +272,20 @@ def forward(
         if store:
             for i in range(SIZE):
                 out_x[k, i] = x[i]
-            pack(P, out_P[k])
+            pack(P, out_P[k], n)
     return total
 
 
 @njit(cache=True, error_model="numpy")
-def absorb(lam: Floats, Lam: Floats, H: Floats, K: Floats, S: float, nu: float) -> None:
+def absorb(lam: Floats, Lam: Floats, H: Floats, K: Floats, S: float, nu: float, n: int) -> None:
     """Adjoint state and covariance back through one scalar update: (I − KH)ᵀ on both sides, plus HᵀH/S."""
-    n = SIZE
-    LK = np.zeros(n)
+    LK = np.zeros(SIZE)
     s = 0.0
     kl = 0.0
-    for i in range(n):
-        for j in range(n):
-            LK[i] += Lam[i, j] * K[j]
-        kl += K[i] * lam[i]
+    for j in range(n):  # Lam is symmetric: by rows
+        for i in range(n):
+            LK[i] += Lam[j, i] * K[j]
+        kl += K[j] * lam[j]
     for i in range(n):
         s += K[i] * LK[i]
     weight = 1.0 / S + s
@@ -299,37 +302,40 @@ def absorb(lam: Floats, Lam: Floats, H: Floats, K: Floats, S: float, nu: float) 
 
 
 @njit(cache=True, error_model="numpy")
-def retreat(lam: Floats, Lam: Floats, F: Floats) -> None:
-    """Adjoint state and covariance back through one step: Fᵀ·lambda and Fᵀ·Lambda·F."""
-    n = SIZE
-    a = np.empty(n)
-    A = np.empty((n, n))
+def times_adjoint(F: Floats, A: Floats, out: Floats, n: int) -> None:
+    """Fᵀ·A into `out`, row by row."""
     for i in range(n):
-        a[i] = F[i, i] * lam[i]
+        d = F[i, i]
         for j in range(n):
-            A[i, j] = F[i, i] * Lam[i, j]
+            out[i, j] = d * A[i, j]
     for e in range(PATTERN.shape[0]):
         m, i = PATTERN[e, 0], PATTERN[e, 1]
         f = F[m, i]
-        a[i] += f * lam[m]
         for j in range(n):
-            A[i, j] += f * Lam[m, j]
-    for i in range(n):
-        lam[i] = a[i]
-        for j in range(n):
-            Lam[i, j] = A[i, j] * F[j, j]
-    for e in range(PATTERN.shape[0]):
-        m, j = PATTERN[e, 0], PATTERN[e, 1]
-        f = F[m, j]
-        for i in range(n):
-            Lam[i, j] += A[i, m] * f
+            out[i, j] += f * A[m, j]
 
 
 @njit(cache=True, error_model="numpy")
-def kept_covariance(P: Floats, Lam: Floats, out: Floats) -> None:
+def retreat(lam: Floats, Lam: Floats, F: Floats, A: Floats, B: Floats, n: int) -> None:
+    """Adjoint state and covariance back through one step: Fᵀ·lambda and Fᵀ·Lambda·F. A, B : scratch."""
+    a = np.empty(SIZE)
+    for i in range(n):
+        a[i] = F[i, i] * lam[i]
+    for e in range(PATTERN.shape[0]):
+        m, i = PATTERN[e, 0], PATTERN[e, 1]
+        a[i] += F[m, i] * lam[m]
+    for i in range(n):
+        lam[i] = a[i]
+    times_adjoint(F, Lam, A, n)
+    transpose(A, B, n)
+    times_adjoint(F, B, Lam, n)
+
+
+@njit(cache=True, error_model="numpy")
+def kept_covariance(P: Floats, Lam: Floats, out: Floats, n: int) -> None:
     """Rows and columns KEEP of P − P·Lambda·P."""
-    n, k = SIZE, KEEP.size
-    A = np.zeros((k, n))
+    k = KEEP.size
+    A = np.zeros((k, SIZE))
     for a in range(k):
         i = KEEP[a]
         for m in range(n):
@@ -341,7 +347,7 @@ def kept_covariance(P: Floats, Lam: Floats, out: Floats) -> None:
         for b in range(a + 1):
             v = P[KEEP[a], KEEP[b]]
             for m in range(n):
-                v -= A[a, m] * P[m, KEEP[b]]
+                v -= A[a, m] * P[KEEP[b], m]
             out[a, b] = v
             out[b, a] = v
 
@@ -369,20 +375,22 @@ def backward(
     """
     lam = np.zeros(SIZE)
     Lam = np.zeros((SIZE, SIZE))
-    P = np.empty((SIZE, SIZE))
-    F = np.eye(SIZE)
+    P = np.zeros((SIZE, SIZE))
+    n = int(p[P_ACTIVE])
+    F, A, B = np.eye(SIZE), np.empty((SIZE, SIZE)), np.empty((SIZE, SIZE))
     last = out_x.shape[0] - 1
     for back in range(last + 1):
         k = last - back
         if back > 0:
             transition(lin[k], u[k], dt, p, F)
-            retreat(lam, Lam, F)
-        unpack(out_P[k], P)
+            retreat(lam, Lam, F, A, B, n)
+        unpack(out_P[k], P, n)
         for i in range(SIZE):
             smooth_x[k, i] = out_x[k, i]
-            for j in range(SIZE):
-                smooth_x[k, i] -= P[i, j] * lam[j]
-        kept_covariance(P, Lam, smooth_P[k])
+        for j in range(n):  # P is symmetric: by rows
+            for i in range(SIZE):
+                smooth_x[k, i] -= P[j, i] * lam[j]
+        kept_covariance(P, Lam, smooth_P[k], n)
         for m in range(starts[k + 1] - 1, starts[k] - 1, -1):
             if used[m]:
-                absorb(lam, Lam, H[m], K[m], S[m], nu[m])
+                absorb(lam, Lam, H[m], K[m], S[m], nu[m], n)

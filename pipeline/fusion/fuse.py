@@ -12,9 +12,10 @@ from ...sensors.streams import FieldLog
 from ..wheels import wheel_motions
 from . import engine_compiled, engine_filterpy, tune
 from . import state as s
-from .assemble import assemble
+from .assemble import Settled, assemble
+from .draws import posterior_errors
 from .engine_compiled import Filtered, Smoothed
-from .known import Known, build, lag_sd, levelled, prepare
+from .known import LONG, Known, build, lag_sd, levelled, prepare
 from .motion import Motion
 from .prepare import STEP
 from .problem import Measurements, Problem
@@ -22,7 +23,7 @@ from .settings import FusionSettings, Levels
 
 Floats = NDArray[np.float64]
 
-TUNED = 9_000  # nodes of motion that the levels are tuned on
+TUNED = 6_000  # nodes of motion that the levels are tuned on
 REFUSED_RUN = 4.0  # s of refused fixed positions after which the receiver, not the filter, sets the place
 
 
@@ -38,20 +39,29 @@ def fuse(log: FieldLog, options: FusionSettings = FusionSettings()) -> Motion:
     known = prepare(log, wheels)
     levels, lag = Levels(), 0.0
     if options.adapt:
-        lag = tune.best_lag(lambda value: score(build(known, options, levels, value)), lag_sd(log))
+        lag = tune.best_lag(
+            lambda value: score(beginning(build(known, options, levels, value), known)), lag_sd(log)
+        )
     path = solve(build(known, options, levels, lag), options)[1].x
     known = levelled(known, path)
     free: tuple[str, ...] = ()
     if options.adapt:
         free = free_levels(known)
         levels = tune.best_levels(levels, free, likelihood_of(known, options, path))
-    task, filtered, smooth, jumps = settle(known, options, levels, path)
-    return assemble(known, options, levels, free, task, filtered, smooth, wheels, jumps)
+    return assemble(known, options, levels, free, settle(known, options, levels, path), wheels)
 
 
 def score(task: Problem) -> float:
     """Log-likelihood of the forward filter's innovations."""
     return engine_compiled.run_filter(task, None, store=False).log_likelihood
+
+
+def beginning(task: Problem, known: Known) -> Problem:
+    """The pass until enough of it has been driven for the clocks to show."""
+    driven = np.flatnonzero(np.cumsum(~known.still) >= TUNED)
+    if driven.size == 0:
+        return task
+    return cut(task, 0, int(driven[0]), task.x0[None])
 
 
 def likelihood_of(known: Known, options: FusionSettings, path: Floats) -> Callable[[Levels], float]:
@@ -100,26 +110,32 @@ def solve(task: Problem, options: FusionSettings, path: Floats | None = None) ->
     return filtered, engine.run_smoother(task, filtered, path)
 
 
-def settle(
-    known: Known, options: FusionSettings, levels: Levels, path: Floats
-) -> tuple[Problem, Filtered, Smoothed, int]:
+def settle(known: Known, options: FusionSettings, levels: Levels, path: Floats) -> Settled:
     """Relinearise about the smoothed path; where the receiver insists on another place, let its error jump.
 
-    Returns the last problem, its filter and smoother, and the number of jumps found.
+    What only the draws need of the filter is let go once they are made: an hour's gains are half a gigabyte.
     """
     jumps = np.zeros((known.t.size, 2))
     lag = float(path[-1, s.LAG])
     task = build(known, options, levels, lag)
-    for _ in range(options.passes):
-        filtered, smooth = solve(task, options, path)
-        path = smooth.x
+    for _ in range(options.passes if known.t.size <= LONG else 1):
+        path, found = relinearised(task, options, path)
         lag = float(path[-1, s.LAG])
         known = replace(known, yaw=(path[:, s.YAW1].copy(), path[:, s.YAW2].copy()))
-        jumps = np.maximum(jumps, insisting(task, filtered))
+        jumps = np.maximum(jumps, found)
         task = build(known, options, levels, lag)
         task = replace(task, inject=task.inject + jumps)
     filtered, smooth = solve(task, options, path)
-    return task, filtered, smooth, int((jumps[:, 0] > 0.0).sum())
+    count = options.draws if known.t.size <= LONG else max(options.draws // 4, 1)
+    when, error = posterior_errors(task, filtered, smooth.x, count, options.seed)
+    light = replace(filtered, P=filtered.P[-1:].copy(), H=filtered.H[:0].copy(), K=filtered.K[:0].copy())
+    return Settled(task, light, smooth, when, error, int((jumps[:, 0] > 0.0).sum()))
+
+
+def relinearised(task: Problem, options: FusionSettings, path: Floats) -> tuple[Floats, Floats]:
+    """The smoothed path about a path, and the jumps to allow; what the filter stored is let go at once."""
+    filtered, smooth = solve(task, options, path)
+    return smooth.x, insisting(task, filtered)
 
 
 def insisting(task: Problem, f: Filtered) -> Floats:

@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 CREEP = 0.5  # m/s
+LONG = 60_000  # nodes: longer passes get a quarter of the draws and one relinearisation, which a steady row needs least
 SHORTEST = 100  # nodes: 2 s
 FLOAT_PAUSE = 5.0  # s between spans that are not fixed: a new span has a new error
 

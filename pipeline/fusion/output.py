@@ -167,13 +167,12 @@ def seeder_motion(m: Smooth, p: Floats, crab: float, lateral: Floats | None) -> 
 
 
 def body_draws(error: Floats, at: Smooth, p: Floats, seeder: bool) -> Floats:
-    """Draws of the error of (x1, y1, yaw1, x2, y2, yaw2), (K, M, 6 or 3), from draws of the state (M, SIZE, K).
+    """Draws of the error of (x1, y1, yaw1, x2, y2, yaw2), (K, M, 6 or 3), from draws of the KEPT state (M, kept, K).
 
     at : the smoothed state at the draws' instants
     """
-    e = error[:, KEPT, :]
-    one = np.einsum("nik,nkd->dni", tractor_jacobian(at, p)[:, :3], e, optimize=True)
+    one = np.einsum("nik,nkd->dni", tractor_jacobian(at, p)[:, :3], error, optimize=True)
     if not seeder:
         return np.ascontiguousarray(one)
-    two = np.einsum("nik,nkd->dni", seeder_jacobian(at, p)[:, :3], e, optimize=True)
+    two = np.einsum("nik,nkd->dni", seeder_jacobian(at, p)[:, :3], error, optimize=True)
     return np.ascontiguousarray(np.concatenate([one, two], axis=2))

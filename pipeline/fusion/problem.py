@@ -153,6 +153,7 @@ def parameters_of(
     p[s.P_GYRO1], p[s.P_ACCEL] = one.gyro_noise, one.accel_noise
     p[s.P_KAPPA_WALK], p[s.P_KAPPA_DRIVE] = physics.WHEEL_WALK, physics.WHEEL_DRIVE
     p[s.P_TURN] = physics.COMPLIANCE
+    p[s.P_ACTIVE] = active(epochs)
     p[s.P_BIAS_WALK], p[s.P_TILT] = physics.BIAS_WALK, 1.0
     if seeder is not None and two is not None:
         p[s.P_SEEDER], p[s.P_GYRO2] = 1.0, two.gyro_noise
@@ -163,6 +164,15 @@ def parameters_of(
     if second:
         p[[s.P_ANT2_X, s.P_ANT2_Y, s.P_ANT2_Z]] = manifest.of_kind("gps")[second[0].name].position
     return p
+
+
+def active(epochs: Sequence[Epochs]) -> int:
+    """Number of leading state components that a pass needs: second receivers, float spans and headings come last."""
+    if len(epochs) > 1:
+        return s.SIZE
+    if not all(e.fixed.all() for e in epochs):
+        return s.FY + 1
+    return s.HEADING + 1 if any(np.isfinite(e.heading).any() for e in epochs) else s.ALWAYS
 
 
 def with_levels(p: Floats, levels: Levels, epochs: Sequence[Epochs]) -> Floats:
@@ -420,7 +430,8 @@ def starting_state(
     sd[[s.ROLL, s.PITCH]], sd[[s.BGX, s.BGY, s.BGZ]], sd[[s.BAX, s.BAY]] = 0.1, gyro, accel
     sd[[s.EX, s.EY]], sd[[s.FX, s.FY]], sd[[s.GX, s.GY]] = p[s.P_SD_E], p[s.P_SD_F], p[s.P_SD_G]
     sd[s.SCALE1] = physics.GYRO_SCALE
-    sd[s.LAG], sd[s.KAPPA], sd[s.HEADING] = lag_sd, physics.RADIUS_SD, physics.HEADING_SD
+    sd[s.LAG], sd[s.KAPPA] = lag_sd, physics.RADIUS_SD
+    sd[s.HEADING] = physics.HEADING_SD if p[s.P_ACTIVE] > s.HEADING else 0.0
     if p[s.P_SEEDER] > 0.0:
         sd[s.BGZ2], sd[s.SLIP2], sd[s.SCALE2] = physics.GYRO_BIAS, 0.05, physics.GYRO_SCALE
     else:

@@ -27,25 +27,26 @@ BGZ2: Final = 13  # rad/s, seeder's vertical gyro bias
 SLIP2: Final = 14  # m/s, lateral at the seeder's (mean) axle
 EX: Final = 15  # m, slow error of fixed GNSS positions
 EY: Final = 16
-FX: Final = 17  # m, slow error of positions that are not fixed (float, DGPS, single)
-FY: Final = 18
-LAG: Final = 19  # s, inertial time less UTC
-KAPPA: Final = 20  # 1, wheel speed over true speed, less one
-HEADING: Final = 21  # rad, constant error of a dual-antenna heading
-GX: Final = 22  # m, slow error of a second receiver
-GY: Final = 23
-SCALE1: Final = 24  # 1, scale error of the tractor's vertical gyro
-SCALE2: Final = 25  # 1, of the seeder's
-TURN1: Final = 26  # m/s, slow lateral velocity at the rear axle while turning hard
-TURN2: Final = 27  # m/s, the same at the seeder's axle
+LAG: Final = 17  # s, inertial time less UTC
+KAPPA: Final = 18  # 1, wheel speed over true speed, less one
+SCALE1: Final = 19  # 1, scale error of the tractor's vertical gyro
+SCALE2: Final = 20  # 1, of the seeder's
+TURN1: Final = 21  # m/s, slow lateral velocity at the rear axle while turning hard
+TURN2: Final = 22  # m/s, the same at the seeder's axle
+# From here on only passes that need them carry them: products stop at P_ACTIVE.
+ALWAYS: Final = 23
+HEADING: Final = 23  # rad, constant error of a dual-antenna heading
+FX: Final = 24  # m, slow error of positions that are not fixed (float, DGPS, single)
+FY: Final = 25
+GX: Final = 26  # m, slow error of a second receiver
+GY: Final = 27
 SIZE: Final = 28
 
 STATE_NAMES: Final = (
     "x", "y", "yaw1", "v", "slip1", "roll", "pitch", "gyro_bias_x", "gyro_bias_y", "gyro_bias_z",
-    "accel_bias_x", "accel_bias_y", "yaw2", "gyro_bias_z2", "slip2", "gnss_slow_x", "gnss_slow_y",
-    "gnss_float_x", "gnss_float_y", "lag", "wheel_scale", "heading_bias", "gnss2_slow_x", "gnss2_slow_y",
-    "gyro_scale1", "gyro_scale2",
-    "turn_slip1", "turn_slip2",
+    "accel_bias_x", "accel_bias_y", "yaw2", "gyro_bias_z2", "slip2", "gnss_slow_x", "gnss_slow_y", "lag",
+    "wheel_scale", "gyro_scale1", "gyro_scale2", "turn_slip1", "turn_slip2", "heading_bias", "gnss_float_x",
+    "gnss_float_y", "gnss2_slow_x", "gnss2_slow_y",
 )  # fmt: skip
 
 # Of the smoothed covariance these rows and columns are kept: all that the bodies' motion needs.
@@ -82,7 +83,8 @@ P_BIAS_WALK: Final = 24  # rad/s/sqrt(s), of gyro biases
 P_SEEDER: Final = 25  # 1 when there is a seeder
 P_TILT: Final = 26  # 1: antenna's sway is compensated by roll and pitch; 0 only to show what that is worth
 P_SWAY2: Final = 27  # m, seeder's CoM above its roll centre
-P_SIZE: Final = 30
+P_ACTIVE: Final = 30  # number of leading state components in use, ALWAYS to SIZE
+P_SIZE: Final = 31
 
 # Inputs of a step from node k to k + 1 (means over the step), body axes at the rear axle -----------------------
 U_WX: Final = 0  # rad/s

@@ -22,6 +22,7 @@ def parameters() -> np.ndarray:
     p = np.zeros(s.P_SIZE)
     p[[s.P_REAR, s.P_ANT_X, s.P_ANT_Y, s.P_ANT_Z, s.P_SWAY]] = 1.15, 0.2, -0.1, 2.1, 0.4
     p[[s.P_HITCH, s.P_AXLE2, s.P_COM2, s.P_TAU_SLIP, s.P_TAU_E]] = 0.9, 3.0, 2.7, 1.0, 40.0
+    p[s.P_ACTIVE] = s.SIZE
     p[[s.P_ANT2_X, s.P_ANT2_Y, s.P_ANT2_Z, s.P_SEEDER, s.P_TILT]] = 0.1, 0.2, 1.5, 1.0, 1.0
     return p
 
@@ -117,7 +118,7 @@ def test_sparse_propagation_equals_the_dense_product() -> None:
     A = rng.normal(size=(s.SIZE, s.SIZE))
     P, q = A @ A.T, rng.uniform(size=s.SIZE)
     expected = F @ P @ F.T + np.diag(q)
-    filtering.propagate(P, F, q)
+    filtering.propagate(P, F, q, np.empty_like(F), np.empty_like(F), s.SIZE)
     np.testing.assert_allclose(P, expected, rtol=1e-12, atol=1e-10)
 
 
