@@ -25,6 +25,7 @@ PAGE_WIDTH, PAGE_HEIGHT = 210.0, 297.0
 TEXT_WIDTH = PAGE_WIDTH - 2.0 * MARGIN
 FOOT = 16.0  # mm at the bottom
 MISSING_GLYPH = "□"
+MOST_LINES, CUT = 40, "… the rest stands in report.html"  # of one cell: a row fits on a page
 TABLE_START = 34.0  # mm that a table needs to begin on a page: caption, heading, a few rows
 TABLE_SIZES, LINE = (7.5, 7.0, 6.5, 6.0), 3.9  # pt, mm
 POINT = 25.4 / 72.0  # mm
@@ -306,7 +307,8 @@ def _lines(sheet: _Sheet, text: str, width: float) -> list[str]:
         return [text]
     broken = sheet.multi_cell(width, LINE, text, dry_run=True, output=MethodReturnValue.LINES)
     assert isinstance(broken, list)  # what LINES asks for
-    return [str(line) for line in broken]
+    lines = [str(line) for line in broken]
+    return lines if len(lines) <= MOST_LINES else [*lines[: MOST_LINES - 1], CUT]
 
 
 def _fitted(sheet: _Sheet, table: Table) -> tuple[float, list[float]]:

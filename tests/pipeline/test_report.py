@@ -267,6 +267,15 @@ def test_signs_that_the_pdfs_font_lacks_become_boxes_without_a_word(
     assert capfd.readouterr() == ("", "")
 
 
+def test_endless_note_is_cut_in_the_pdf_and_whole_in_the_page(tmp_path: Path) -> None:
+    text = samples.toml().replace('notes = "dry', f'notes = "{"word " * 20_000}dry')
+    made = _made(tmp_path, replace(samples.pass_result(), manifest=manifests.parse(text), manifest_text=text))
+    pages = [page.extract_text() for page in pypdf.PdfReader(made / "report.pdf").pages]
+    assert len(pages) < 20
+    assert sum("the rest stands in report.html" in page for page in pages) == 1
+    assert (made / "report.html").read_text(encoding="utf-8").count("word word") > 9_000
+
+
 def test_pdf_has_bookmarks_for_its_sections(out: Path) -> None:
     document = pypdf.PdfReader(out / "report.pdf")
     titles = [str(item.title) for item in document.outline if not isinstance(item, list)]
