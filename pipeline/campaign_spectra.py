@@ -71,7 +71,7 @@ def version_spectra(
         mean = averaged(stored)
         if mean is not None:
             strongest = [p for p in peaks(mean, most=5) if p.frequency >= LOWEST_ACCELERATION][:3]
-            top = [acceleration_peak(p, mean) for p in strongest]
+            top = [acceleration_peak(p) for p in strongest]
             found["acceleration"][body] = _values(mean, len(stored)) | {"peaks": top}
     return found
 

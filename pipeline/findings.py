@@ -25,6 +25,17 @@ PAPER = {"trajectory": 11.0, "yaw": 9.0}  # %, shown beside the headline
 HEADLINES = {"trajectory": (DEVIATION1, DEVIATION2), "yaw": (YAW1, YAW2)}
 UNITS = {DEVIATION1: "m", DEVIATION2: "m", YAW1: "rad", YAW2: "rad"}
 WITHIN_U_VAL = 2.0
+INDEPENDENCE = {
+    "sensor": "independent of the body's motion: everything may be judged",
+    "wheels": (
+        "shares the tractor's gyro with the measured yaw: its slow error is bounded by the alignment, and the "
+        "response of yaw rate to steering is shown with that caution only"
+    ),
+    None: (
+        "no series that is independent of the body's yaw: the tractor and whatever combines both bodies are not "
+        "judged, the seeder runs behind the measured tractor"
+    ),
+}
 EXPLAINED_QUANTILE = 0.95
 
 
@@ -323,10 +334,11 @@ def steering_values(motion: Motion) -> dict[str, Any]:
     """What the series that drove the replay was made of, and its stated errors."""
     steer = motion.steer_input
     if steer is None:
-        return {"source": None, "testable": False}
+        return {"source": None, "testable": False, "independence": INDEPENDENCE[None]}
     return {
         "source": steer.source,
         "testable": True,
+        "independence": INDEPENDENCE[steer.source],
         "sd_deg": float(np.rad2deg(np.mean(steer.sd))),
         "correlation_time": steer.correlation_time,
         "zero_sd_deg": float(np.rad2deg(steer.zero_sd)),

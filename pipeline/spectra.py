@@ -129,15 +129,13 @@ def _acceleration(
     simulated = _simulated_acceleration(comparison, b, step)
     values["acceleration"][NAMES[b]] = _density_values(density, "(m/s2)2/Hz", "Hz") | {
         "source": source,
-        "peaks": [acceleration_peak(p, density) for p in _above(density)],
+        "peaks": [acceleration_peak(p) for p in _above(density)],
     }
     plots["acceleration"][f"{NAMES[b]} measured"] = _series(density)
     if simulated:
         segment = min(round(density.segment_length / step), min(s.size for s in simulated))
         model = welch(simulated, step, segment)
-        values["acceleration"][NAMES[b]]["peaks_simulated"] = [
-            acceleration_peak(p, model) for p in _above(model)
-        ]
+        values["acceleration"][NAMES[b]]["peaks_simulated"] = [acceleration_peak(p) for p in _above(model)]
         plots["acceleration"][f"{NAMES[b]} simulated"] = _series(model)
 
 
@@ -178,16 +176,16 @@ def _above(density: Density) -> list[Peak]:
     return [p for p in peaks(density, most=5) if p.frequency >= LOWEST_ACCELERATION][:3]
 
 
-def acceleration_peak(peak: Peak, density: Density) -> dict[str, float]:
-    """A peak of the acceleration with the rms displacement of its half-power band, mm: ∫ S_a/(2πf)⁴ df."""
-    inside = (density.frequency >= peak.band[0]) & (density.frequency <= peak.band[1])
-    omega = 2.0 * np.pi * density.frequency[inside]
-    power = float(np.sum(density.density[inside] / omega**4)) * float(density.frequency[1])
+def acceleration_peak(peak: Peak) -> dict[str, float]:
+    """A peak of the acceleration with the displacement that its band stands for, mm rms: a/(2πf)² at the peak.
+
+    Not ∫ S_a/(2πf)⁴ over the band: where the band reaches down to slow motion, that would state the slow motion.
+    """
     return {
         "frequency": peak.frequency,
         "density": peak.density,
         "acceleration_rms": peak.band_rms,
-        "displacement_mm": 1000.0 * float(np.sqrt(power)),
+        "displacement_mm": 1000.0 * peak.band_rms / (2.0 * np.pi * peak.frequency) ** 2,
     }
 
 
@@ -218,6 +216,7 @@ def _steering(
     values: dict[str, Any] = {
         "segments": joint.segments,
         "source": steer.source,
+        "shares_gyro": steer.source == "wheels",
         "points": [
             {
                 "frequency": float(f),

@@ -397,10 +397,10 @@ def test_densities_are_averaged_over_passes_with_their_degrees_of_freedom() -> N
     assert (found.dof, found.segments) == (8.0, 4)
     values = version_spectra([], [{"tractor": s} for s in stored])["acceleration"]["tractor"]
     assert values["peaks"][0]["frequency"] == pytest.approx(2.0, abs=0.06)
-    # ∫ 2·exp(−((f − 2)/0.3)²) df over (2π·2)⁴ is about (6.5 mm)²; the half-power band holds three quarters.
-    assert values["peaks"][0]["displacement_mm"] == pytest.approx(
-        1000.0 * np.sqrt(0.75 * 1.06) / 158.0, rel=0.1
-    )
+    # ∫ 2·exp(−((f − 2)/0.3)²) df = 2·0.3·√π; its half-power band holds erf(√ln 2) = 76 % of it.
+    power = 0.76 * 2.0 * 0.3 * np.sqrt(np.pi)
+    displacement = 1000.0 * np.sqrt(power) / (4.0 * np.pi) ** 2
+    assert values["peaks"][0]["displacement_mm"] == pytest.approx(displacement, rel=0.1)
     assert averaged([]) is None
 
 

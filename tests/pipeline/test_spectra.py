@@ -131,7 +131,7 @@ def test_a_peak_of_the_paper_s_size_is_a_displacement_of_a_fraction_of_a_millime
     acceleration = rms * np.sqrt(2.0) * (2.0 * np.pi * 5.0) ** 2 * np.sin(2.0 * np.pi * 5.0 * t)
     found = welch([acceleration], 0.02, 400)
     (peak,) = peaks(found, most=1)
-    values = acceleration_peak(peak, found)
+    values = acceleration_peak(peak)
     assert values["frequency"] == pytest.approx(5.0, abs=0.01)
     assert values["displacement_mm"] == pytest.approx(0.2, rel=0.03)
 
