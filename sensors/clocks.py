@@ -50,6 +50,7 @@ MIN_SEGMENT = 5  # samples: fewer between two resets are a corrupt counter
 WANDER_WINDOW = 60.0  # s: short against the warming of an oscillator, long against bursts of latency
 WANDER_LEAST = 1.0e-3  # s
 LEAST_WINDOWS = 5
+LOW_PERCENT = 10.0
 TOO_EARLY = 1.0e-3  # s: no sample arrives before it is taken
 HALF_SAMPLE = 0.5
 STRAY_SHARE = 0.01  # of the rows may stand out of order where only the host's time tells
@@ -210,7 +211,7 @@ def sample_times(
 
 
 def _jump_sizes(offset: Floats, device: Floats, rows: list[int], window: int) -> list[tuple[int, float]]:
-    """Size of each jump of the host's clock: change of the least offset there, less the drift."""
+    """Size of each jump of the host's clock: change of the low offsets there, less the drift."""
     if not rows:
         return []
     bounds = [0, *rows, offset.size]
@@ -218,12 +219,14 @@ def _jump_sizes(offset: Floats, device: Floats, rows: list[int], window: int) ->
     calm = slice(*longest)
     level = offset - _device_line(device[calm], device[calm] + offset[calm]).slope * device
     return [
-        (
-            row,
-            float(level[row : min(row + window, after)].min() - level[max(row - window, before) : row].min()),
-        )
+        (row, _low(level[row : min(row + window, after)]) - _low(level[max(row - window, before) : row]))
         for before, row, after in zip(bounds, rows, bounds[2:], strict=False)
     ]
+
+
+def _low(level: Floats) -> float:
+    """A low level that neither latency nor a few broken stamps move."""
+    return float(np.percentile(level, LOW_PERCENT))
 
 
 def _wraps(counter: Ints, span: int | None) -> int:
@@ -382,7 +385,9 @@ class HostToUtc:
 def steady_host(host: Floats, utc: Floats, rate: float) -> tuple[Floats, list[tuple[int, float]]]:
     """The host's times of GNSS epochs with lasting jumps of that clock taken out, and the jumps."""
     window = max(MIN_EPOCHS, round(STEP_WINDOW * rate))
-    jumps = find_steps(host - utc, window, GNSS_STEP)
+    offset = host - utc
+    rows = [row for row, _ in find_steps(offset, window, GNSS_STEP)]
+    jumps = _jump_sizes(offset, utc, rows, window)
     return without_jumps(host, jumps), jumps
 
 
