@@ -157,8 +157,15 @@ def sample_designs(plan: SweepPlan) -> Floats:
     return np.asarray(bounds[:, 0] + unit * (bounds[:, 1] - bounds[:, 0]))
 
 
-def make_design(plan: SweepPlan, values: Mapping[str, float]) -> Design:
-    """The design with parameters of these values, the rest as in the plan's base.
+def make_designs(plan: SweepPlan, designs: Floats) -> list[Design]:
+    """Every row of designs (n, parameters) made concrete, see `make_design`."""
+    base = machine_of(plan.base)
+    return [make_design(plan, dict(zip(plan.names, row, strict=True)), base) for row in designs]
+
+
+def make_design(plan: SweepPlan, values: Mapping[str, float], base: Machine | None = None) -> Design:
+    """The design with parameters of these values, the rest as in the plan's base (made once by
+    `make_designs`).
 
     Raises StudyError that names the parameter for an unknown name or a value that no machine can have.
     """
@@ -176,7 +183,7 @@ def make_design(plan: SweepPlan, values: Mapping[str, float]) -> Design:
         else:
             machine_values[name] = value
     try:
-        machine = machine_of(plan.base).replace_parameters(machine_values)
+        machine = (base or machine_of(plan.base)).replace_parameters(machine_values)
         return Design(machine, speed, _driver(plan.study.driver, driver_values), level)
     except (MachineError, ValueError) as error:
         raise StudyError(str(error)) from None
@@ -207,8 +214,7 @@ def linear_indices(plan: SweepPlan, designs: Floats) -> Floats:
     Raises StudyError for a design whose speed is not below its critical one.
     """
     found = np.full((2, len(designs)), np.nan)
-    for i, row in enumerate(designs):
-        design = make_design(plan, dict(zip(plan.names, row, strict=True)))
+    for i, design in enumerate(make_designs(plan, designs)):
         model = linearise(design.machine, design.speed, plan.study.settings)
         found[0, i] = model.least_damping()
         bound = critical_speed(design.machine, plan.study.settings)
@@ -230,7 +236,7 @@ def simulate_designs(
     Runs are ordered by speed and cut into chunks of one duration, so that a chunk is one compiled call;
     chunks are shared over threads, and each gives back its indices only.
     """
-    made = [make_design(plan, dict(zip(plan.names, row, strict=True))) for row in designs]
+    made = make_designs(plan, designs)
     speeds = np.repeat([design.speed for design in made], plan.seeds)
     ground = soil_series(plan.study.soil, plan.seeds, plan.study.seed, plan.study.run_in + plan.study.length)
     result = np.full((len(made) * plan.seeds, len(INDICES)), np.nan)

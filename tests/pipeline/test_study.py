@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import welch
 from smts_validate.model.machine import MachineError
 from smts_validate.pipeline.study import PAPER, simulate_study, typical_run, write_study
 from smts_validate.pipeline.study_charts import comparison_block, spectra_chart, trajectories_chart, yaw_chart
@@ -49,6 +50,15 @@ def test_indices_of_a_sine_are_its_amplitude_frequency_and_density():
     assert found["yaw_range2_deg"] == pytest.approx(0.2, rel=1e-3)
     assert found["peak_frequency1"] == pytest.approx(2.5, abs=0.1)
     assert found["peak1"] == pytest.approx(4 * found["peak2"], rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [2400, 255, 101])
+def test_density_is_that_of_scipys_welch(count):
+    noise = np.random.default_rng(2).standard_normal((2, count))
+    found = acceleration_spectrum(noise, 0.02)
+    frequency, density = welch(noise, 50.0, "hann", min(256, count), detrend="constant")
+    assert found.frequency == pytest.approx(frequency)
+    assert found.density == pytest.approx(density, rel=1e-9)
 
 
 def test_density_integrates_to_the_variance():
