@@ -1,0 +1,74 @@
+"""Accuracy and honesty of the fusion over seeded twins: errors, and coverage of the stated deviations.
+
+    python benchmarks/accuracy.py [--passes 40] [--workers 2]
+
+Fields (slope, heading) and faults vary with the seed: benign RTK, bad sensors, an outage with float, a headland turn.
+Prints for each kind and for all: median and 95th percentile of the passes' RMSE (cm, degrees), the share of errors
+within 1.96 stated deviations, and the mean of (error/deviation) squared.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "pipeline"))
+
+from fusion_samples import changed, errors, make
+
+from smts_validate.pipeline.fusion.fuse import fuse
+from smts_validate.pipeline.twin_plan import preset
+
+KINDS = ("benign", "bad_sensors", "outage", "headland")
+SLOPE_SD = 0.005  # of each component of the ground's gradient
+
+
+def one(seed: int) -> tuple[str, dict[str, tuple[float, float, float]]]:
+    """A pass's kind, and for each quantity its RMSE, coverage and mean squared normalised error."""
+    rng = np.random.default_rng(seed)
+    kind = KINDS[seed % len(KINDS)]
+    plan = changed(
+        preset(kind),
+        place__heading_deg=float(rng.uniform(-180.0, 180.0)),
+        soil__slope_east=float(rng.normal() * SLOPE_SD),
+        soil__slope_north=float(rng.normal() * SLOPE_SD),
+    )
+    of = make(plan, 1000 + seed)
+    found = {}
+    for name, (error, sd) in errors(fuse(of.log), of).items():
+        ratio = error / sd
+        found[name] = (
+            float(np.sqrt(np.mean(error**2))), float(np.mean(np.abs(ratio) < 1.96)), float(np.mean(ratio**2))
+        )  # fmt: skip
+    return kind, found
+
+
+def table(title: str, rows: list[dict[str, tuple[float, float, float]]]) -> None:
+    """One block of the print."""
+    print(f"{title} ({len(rows)} passes)")
+    for name in rows[0]:
+        values = np.array([row[name] for row in rows])
+        scale, unit = (100.0, "cm ") if name.startswith(("lateral", "along")) else (np.degrees(1.0), "deg")
+        median, worst = np.median(values[:, 0]) * scale, np.percentile(values[:, 0], 95) * scale
+        print(
+            f"  {name:9s} RMSE {median:6.3f} {unit} p95 {worst:6.3f} {unit}"
+            f"  coverage {values[:, 1].mean():5.3f}  NEES {values[:, 2].mean():4.2f}"
+        )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--passes", type=int, default=40)
+    parser.add_argument("--workers", type=int, default=2)
+    chosen = parser.parse_args()
+    with ProcessPoolExecutor(chosen.workers) as pool:
+        results = list(pool.map(one, range(chosen.passes)))
+    for kind in KINDS:
+        table(kind, [row for name, row in results if name == kind])
+    table("all", [row for _, row in results])
