@@ -19,7 +19,6 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "pipeline"))
 
 from fusion_samples import changed, errors, make
-
 from smts_validate.pipeline.fusion.fuse import fuse
 from smts_validate.pipeline.twin_plan import preset
 
