@@ -17,7 +17,7 @@ from .manifest import GRAVITY, Gps, Imd, Steer, Units
 from .plausibility import best_upright
 from .presets import PRESETS
 from .raw import Floats, Ints, RawError, RawGnss, RawImu
-from .tables import find_header, read_text
+from .tables import find_header, read_head, read_text
 
 PASSED_OVER = {"run.toml"}
 MOST_FILES = 200
@@ -109,14 +109,9 @@ def _recognised(path: Path) -> Guess | None:
     return None
 
 
-def _head(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return file.read(4096)
-
-
 def _as_gnss(path: Path) -> Guess | None:
     sensor = Gps(kind="gps", file=path.name, position=(0.0, 0.0, 0.0), rate=1.0)
-    head = _head(path)
+    head = read_head(path)
     sentences = re.search(rb"\$(..(GGA|RMC)|PANDA|PAOGI),", head) is not None
     for form, fits in ((ubx, True), (rtklib_pos, True), (nmea, sentences), (gnss_csv, True)):
         if fits and form.reads(sensor, path, head):
@@ -149,7 +144,7 @@ def _as_steering(path: Path) -> Guess | None:
 
 
 def _as_inertial(path: Path) -> Guess | None:
-    head = _head(path)
+    head = read_head(path)
     sensor = Imd(kind="imd", body="tractor", file=path.name, position=(0.0, 0.0, 0.0), rate=100.0)
     for form in (gcsv, sensor_logger):
         if form.reads(sensor, path, head):

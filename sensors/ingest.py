@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,24 +18,14 @@ from .health import health_of, hint_warnings
 from .manifest import Manifest, Sensor
 from .raw import Floats, Ints, Raw, RawError, RawGnss, RawImu, RawSteer
 from .streams import FieldLog, GnssStream, ImuStream, SteerStream, Stream, Warn, WheelStream
+from .tables import read_head
 from .utc import steady_epochs, utc_map
 
 MANIFEST = "run.toml"
-HEAD = 4096
 
 
 class IngestError(ValueError):
     """A raw pass that cannot be used; one line: what, where (file, row), how to mend it."""
-
-
-@dataclass(frozen=True)
-class HostTimes:
-    """Sample times of one stream on the pass's host clock, and where its samples came from."""
-
-    name: str
-    file: str
-    rows: Ints
-    times: SampleTimes
 
 
 def read_pass(folder: Path) -> FieldLog:
@@ -70,17 +60,12 @@ def source_path(folder: Path, name: str, sensor: Sensor) -> Path:
 
 
 def _read(path: Path, sensor: Sensor, name: str, run: Manifest) -> Raw:
-    with path.open("rb") if path.is_file() else _not_a_file(path) as file:
-        head = file.read(HEAD)
+    head = read_head(path)
     for candidate in FORMATS:
         if candidate.reads(sensor, path, head):
             raw: Raw = candidate.read(path, sensor, name, run.run.date)
             return raw
     raise RawError(f"{path.name}: no known format for a sensor of this kind; see docs/formats.md")
-
-
-def _not_a_file(path: Path) -> Any:
-    raise RawError(f"{path.name}: is not a regular file")
 
 
 def _assemble(

@@ -27,6 +27,7 @@ MAX_COLUMNS = 1000
 MAX_BROKEN = 200_000  # rows of another length: more make it no table
 HEADER_LINES = 60  # so far down a header may stand (after a logger's own preamble)
 SEPARATORS = (",", ";", "\t", "|")
+HEAD = 4096
 BLOCK = 1 << 24
 BLANK = b"\0 \t\r\n"
 NULLS = ["", "nan", "NaN", "NAN", "null", "NULL", "NA", "N/A", "-", "none", "None"]
@@ -51,6 +52,17 @@ def read_bytes(path: Path) -> bytes:
     if not data[:BLOCK].strip(BLANK) and not data.strip(BLANK):
         raise RawError(f"{path.name}: is empty")
     return data
+
+
+def read_head(path: Path) -> bytes:
+    """The first bytes of a raw file, by which its format is told.
+
+    Raises RawError for what is no regular file.
+    """
+    if not path.is_file():
+        raise RawError(f"{path.name}: is not a regular file")
+    with path.open("rb") as file:
+        return file.read(HEAD)
 
 
 def read_text(path: Path) -> bytes:
