@@ -74,7 +74,6 @@ class PassStatistics:
     windows_within: float
     consistent: bool
     tractor_testable: bool
-    has_seeder: bool = True
 
     @property
     def cell(self) -> tuple[str, str]:

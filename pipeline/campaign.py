@@ -19,6 +19,7 @@ from .adequacy import ADEQUATE, INCONCLUSIVE, NOT_ADEQUATE, Verdict, judge_campa
 from .bounds import DEVIATION1, DEVIATION2, YAW1, YAW2, PassStatistics, ResponseStatistics
 from .campaign_settings import CampaignError, CampaignSettings
 from .campaign_spectra import BODIES, StoredDensity, version_spectra
+from .compare import run_labels
 from .effects import Effects, effects_of
 from .ensemble import ensemble_values, make_ensemble
 from .findings import PAPER, discrepancy_values, verdict_values
@@ -138,13 +139,8 @@ def statistics_of(
     manifest: Manifest, metrics: Mapping[str, Any], columns: Mapping[str, Floats]
 ) -> PassStatistics:
     """The numbers that the verdict needs, back from a stored pass."""
-    run = manifest.run
     return PassStatistics(
-        run=run.id,
-        field=run.field,
-        direction=run.direction,
-        repeat=run.repeat,
-        variant=run.variant,
+        **run_labels(manifest),
         responses={n: _response(v, columns, n) for n, v in metrics["responses"].items()},
         windows_within=float(metrics["alignment"]["windows_within_bound"]),
         consistent=bool(metrics["consistency"]["consistent"]),
@@ -403,13 +399,8 @@ def effects_table(records: Sequence[PassRecord], alpha: float) -> tuple[Effects,
 
 def pass_values(record: PassRecord) -> dict[str, Any]:
     """One line a pass for campaign.json."""
-    run = record.manifest.run
     return {
-        "run": run.id,
-        "field": run.field,
-        "direction": run.direction,
-        "repeat": run.repeat,
-        "variant": run.variant,
+        **run_labels(record.manifest),
         **record.factors,
         "verdict": record.verdict,
         "trajectory": record.discrepancy["trajectory"]["combined"],

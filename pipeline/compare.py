@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -217,20 +218,26 @@ def pass_statistics(
     rows: Sequence[RowComparison], names: Sequence[str], motion: Motion, manifest: Manifest
 ) -> PassStatistics:
     """What the verdict needs of a pass: its rows pooled, every response."""
-    run = manifest.run
     free = [f.alignment.chi2_free <= bound(f.alignment.theta.size) for r in rows for f in r.fits]
     return PassStatistics(
-        run=run.id,
-        field=run.field,
-        direction=run.direction,
-        repeat=run.repeat,
-        variant=run.variant,
+        **run_labels(manifest),
         responses={name: response_statistics(rows, name) for name in names},
         windows_within=float(np.mean(free)),
         consistent=motion.consistent,
         tractor_testable=motion.steer_input is not None,
-        has_seeder=motion.seeder is not None,
     )
+
+
+def run_labels(manifest: Manifest) -> dict[str, Any]:
+    """Who a pass is: run, field, direction, repeat, variant."""
+    run = manifest.run
+    return {
+        "run": run.id,
+        "field": run.field,
+        "direction": run.direction,
+        "repeat": run.repeat,
+        "variant": run.variant,
+    }
 
 
 def response_statistics(rows: Sequence[RowComparison], name: str) -> ResponseStatistics:

@@ -346,10 +346,7 @@ def test_a_log_without_a_row_is_inconclusive_with_nothing_judged() -> None:
 
 
 def test_a_tractor_alone_is_judged_by_its_own_two_responses() -> None:
-    passes = [
-        replace(p, responses={n: p.responses[n] for n in (DEVIATION1, YAW1)}, has_seeder=False)
-        for p in campaign(0.03)
-    ]
+    passes = [replace(p, responses={n: p.responses[n] for n in (DEVIATION1, YAW1)}) for p in campaign(0.03)]
     verdict = judge_campaign(passes)
     assert verdict.value == "adequate"
     assert set(verdict.responses) == {DEVIATION1, YAW1}
