@@ -7,7 +7,7 @@ from typing import Any
 
 from .report_head import Head, Number
 from .report_view import PassView
-from .sections._common import deep, number, percent, sentence, small
+from .sections._common import deep, interval, percent, sentence, small
 
 PAPER = {"trajectory": 11.0, "yaw": 9.0}  # %, the paper's own figures
 NAMES = {"trajectory": "Trajectory discrepancy", "yaw": "Turning angle discrepancy"}
@@ -79,11 +79,13 @@ def _body(view: PassView, kind: str, b: str, value: Any) -> str:
 
 def _number(view: PassView, kind: str) -> Number:
     found: Mapping[str, Any] = deep(view.metrics, "discrepancy", kind) or {}
-    interval = found.get("interval")
-    if interval and all(isinstance(end, int | float) for end in interval):
-        words = f"{number(interval[0], 1)} to {number(interval[1], 1, '%')} with measuring error taken out"
+    ends = found.get("interval")
+    if ends and all(isinstance(end, int | float) for end in ends):
+        words = f"{interval(ends)} with measuring error taken out"
+    elif found.get("combined") is not None:
+        words = "no interval"
     else:
-        words = "no interval" if found.get("combined") is not None else "no percentage can be given"
+        words = "only the seeder is judged" if view.imposed else "no percentage can be given"
     threshold = deep(view.metrics, "verdict", "threshold_percent") or deep(
         view.metrics, "comparison", "threshold_percent"
     )

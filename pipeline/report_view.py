@@ -56,6 +56,17 @@ class PassView:
         return tuple(b for b in BODIES if f"x{b}" in self.trajectory)
 
     @property
+    def imposed(self) -> bool:
+        """Whether the measured tractor was imposed on the model, for want of an independent steering series."""
+        return (self.metrics.get("steering") or {}).get("testable") is False
+
+    @property
+    def simulated_bodies(self) -> tuple[str, ...]:
+        """Suffixes of the bodies that the model itself moved on this pass; an imposed tractor is none of them."""
+        moved = (b for b in self.bodies if not (self.imposed and b == "1"))
+        return tuple(b for b in moved if np.isfinite(self.simulation[f"x{b}"]).any())
+
+    @property
     def row_indices(self) -> tuple[int, ...]:
         """Indices of the rows found, in order."""
         return tuple(int(r) for r in np.unique(self.trajectory["row"]) if r >= 0)

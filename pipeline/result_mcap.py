@@ -69,7 +69,7 @@ def write_result_log(path: Path, view: PassView) -> None:
 def _bodies(view: PassView) -> Iterator[_Body]:
     for b in view.bodies:
         yield _body(view.trajectory, b, f"/measured/{BODY_NAMES[b]}", BODY_NAMES[b])
-        if np.isfinite(view.simulation[f"x{b}"]).any():
+        if b in view.simulated_bodies:
             yield _body(view.simulation, b, f"/simulated/{BODY_NAMES[b]}", f"{BODY_NAMES[b]}_simulated")
 
 

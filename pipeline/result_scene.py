@@ -31,7 +31,8 @@ def scene(view: PassView, stamp: Mapping[str, int]) -> Values:
     The outlines are fixed to the bodies' frames and so move with them; tracks and residuals lie on the map.
     """
     entities = [outline(view, b, frame, colour) for b, frame, colour in frames(view)]
-    entities += [track(view, b, kind) for b in view.bodies for kind in ("measured", "simulated")]
+    entities += [track(view, b, "measured") for b in view.bodies]
+    entities += [track(view, b, "simulated") for b in view.simulated_bodies]
     entities += [residuals(view, b) for b in view.bodies if f"n{b}_simulated" in view.comparison]
     entities.append(verdict(view))
     return {"entities": [{"timestamp": dict(stamp), **entity} for entity in entities]}
@@ -39,8 +40,8 @@ def scene(view: PassView, stamp: Mapping[str, int]) -> Values:
 
 def frames(view: PassView) -> list[tuple[str, str, str]]:
     """(body, frame, colour) of every body's measured and simulated frame."""
-    pairs = (("measured", ""), ("simulated", "_simulated"))
-    return [(b, BODY_NAMES[b] + suffix, kind) for b in view.bodies for kind, suffix in pairs]
+    measured = [(b, BODY_NAMES[b], "measured") for b in view.bodies]
+    return measured + [(b, f"{BODY_NAMES[b]}_simulated", "simulated") for b in view.simulated_bodies]
 
 
 def outline(view: PassView, b: str, frame: str, colour: str) -> Values:

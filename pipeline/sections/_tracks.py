@@ -39,7 +39,7 @@ def measured(view: PassView, b: str) -> Track:
 def simulated(view: PassView, b: str) -> Track | None:
     """The model's motion of body `b`, broken between rows and windows; None where nothing was simulated."""
     columns, grid = view.simulation, view.comparison
-    if not np.isfinite(columns[f"n{b}"]).any():
+    if b not in view.simulated_bodies or not np.isfinite(columns[f"n{b}"]).any():
         return None
     if not _on_grid(view, b):
         nothing = np.full(columns["t"].size, np.nan)

@@ -21,29 +21,34 @@ NO_STEER = (
     "seeder is judged, with the measured motion of the tractor imposed."
 )
 
+DRIVEN = "The model sees them as shown, each window with its own bounded offset of steering."
+IMPOSED = "This steering is an estimate from the body's own motion, shown for reference; it drove no model."
+
 
 def build(view: PassView) -> Section:
     """The section."""
     t = view.trajectory
-    source = deep(view.metrics, "steering", "source") or deep(view.metrics, "replay", "steer_source")
-    words = SOURCES.get(str(source))
-    blocks: list[Block] = [Text(words)] if words else []
+    blocks: list[Block] = []
+    words = SOURCES.get(str(deep(view.metrics, "steering", "source")))
+    if words:
+        blocks.append(Text(words))
+    elif view.imposed:
+        blocks.append(Missing(NO_STEER))
     time = t["t"] - t["t"][0]
-    steer = np.rad2deg(t["steer"])
     panels = [Panel("speed, m/s", _speed(view, time), levels=((view.manifest.operating.speed, "nominal"),))]
-    if np.isfinite(steer).any():
+    if np.isfinite(t["steer"]).any():
         panels.insert(0, Panel("steering, °", _steer(view, time)))
     else:
-        blocks.append(Missing(NO_STEER))
+        blocks.append(Missing("Nothing on this machine tells the steering angle."))
     blocks.append(_chart(view, tuple(panels)))
-    return Section("inputs", "Steering and speed that drove the model", tuple(blocks))
+    return Section("inputs", "Steering and speed", tuple(blocks))
 
 
 def _steer(view: PassView, time: np.ndarray) -> tuple[Curve, ...]:
     steer, sd = np.rad2deg(view.trajectory["steer"]), np.rad2deg(view.trajectory["sd_steer"])
     best = Curve("best estimate", "measured", time, steer, steer - 2 * sd, steer + 2 * sd, band_name="± 2 sd")
     driven = view.simulation.get("steer")
-    if driven is None or not np.isfinite(driven).any():
+    if view.imposed or driven is None or not np.isfinite(driven).any():
         return (best,)
     return best, Curve("as the model was driven", "simulated", time, np.rad2deg(driven), style="dash")
 
@@ -62,6 +67,5 @@ def _chart(view: PassView, panels: tuple[Panel, ...]) -> Chart:
         alt=f"Steering angle (root mean square {swing}) and speed of the tractor (median "
         f"{np.median(v):.2f} m/s) over time.",
         caption="Mean angle of the front wheels, positive to the left, and speed of the tractor's "
-        "centre of mass. The model sees them as shown, each window with its own bounded offset of "
-        "steering.",
+        f"centre of mass. {IMPOSED if view.imposed else DRIVEN}",
     )  # fmt: skip

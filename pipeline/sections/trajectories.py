@@ -6,7 +6,7 @@ import numpy as np
 
 from ..report_blocks import Block, Chart, Curve, Missing, Panel, Section, Text
 from ..report_view import BODY_NAMES, PassView
-from ._common import NO_ROW, distance_label
+from ._common import NO_ROW, distance_label, nothing_compared
 from ._tracks import measured, simulated
 
 CM = 100.0
@@ -20,8 +20,18 @@ def build(view: PassView) -> Section:
     blocks: tuple[Block, ...] = (Text(_swing(view)), _chart(view, panels))
     lacking = [BODY_NAMES[b] for b in view.bodies if simulated(view, b) is None]
     if lacking:
-        blocks = (*blocks, Missing(f"The {' and the '.join(lacking)} could not be simulated on this pass."))
+        blocks = (*blocks, Missing(f"The {' and the '.join(lacking)} was not simulated: {_reason(view)}"))
     return Section("trajectories", "Trajectories", blocks)
+
+
+def _reason(view: PassView) -> str:
+    """Why a body has no simulated curve."""
+    if view.imposed:
+        return (
+            "without a steering series that is independent of the body's motion the measured tractor is imposed, "
+            "and only the seeder is the model's."
+        )
+    return nothing_compared(view)
 
 
 def _curves(view: PassView, b: str) -> tuple[Curve, ...]:

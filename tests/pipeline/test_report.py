@@ -21,11 +21,14 @@ import pytest
 import report_samples as samples
 from hypothesis import given
 from hypothesis import strategies as st
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
 from smts_validate.pipeline import figures_style as style
 from smts_validate.pipeline import report, report_charts
 from smts_validate.pipeline.remake import Exports, RemakeError, remake
 from smts_validate.pipeline.report_blocks import Chart, Curve, Missing, Panel, Table, charts_of, tables_of
 from smts_validate.pipeline.result import PassResult, read_result, write_result
+from smts_validate.pipeline.result_mcap import write_result_log
 from smts_validate.pipeline.sections import SECTIONS
 from smts_validate.sensors import manifest as manifests
 
@@ -164,6 +167,27 @@ def test_tractor_alone_is_reported_without_a_seeder(tmp_path: Path) -> None:
     assert "Tractor alone" in text
     for chart in charts_of(report.sections_of(read_result(made))):
         assert not any("seeder" in panel.y_label for panel in chart.panels), chart.key
+
+
+def test_imposed_tractor_is_never_shown_as_simulated(out: Path, tmp_path: Path) -> None:
+    view = read_result(out)
+    steering = {"source": None, "testable": False}
+    imposed = replace(view, metrics={**view.metrics, "steering": steering})
+    sections = {section.key: section for section in report.sections_of(imposed)}
+    for key in ("trajectories", "yaw"):
+        tractor, seeder = charts_of((sections[key],))[0].panels
+        assert [curve.name for curve in tractor.curves] == ["measured"]
+        assert [curve.name for curve in seeder.curves] == ["measured", "simulated"]
+    words = " ".join(
+        block.text for s in sections.values() for block in s.blocks if isinstance(block, Missing)
+    )
+    assert "the measured tractor is imposed" in words
+    assert "cannot be tested on this pass" in words
+    write_result_log(tmp_path / "result.mcap", imposed)
+    with AnyReader([tmp_path / "result.mcap"], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        topics = {connection.topic for connection in reader.connections}
+    assert "/simulated/seeder/pose" in topics
+    assert "/simulated/tractor/pose" not in topics
 
 
 def test_same_result_gives_the_same_report(out: Path, tmp_path: Path) -> None:
