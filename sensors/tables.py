@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -197,25 +196,13 @@ def _rounded(values: Floats) -> tuple[Ints, Bools]:
     return np.rint(np.where(valid, values, 0.0)).astype(np.int64), valid
 
 
-def read_table(
-    path: Path, wanted: Mapping[str, Any] | Iterable[str] = (), kinds: Mapping[str, str] | None = None
-) -> Table:
-    """The table in a text file.
+def parse_table(data: bytes, header: Header, file: str, kinds: Mapping[str, str] | None = None) -> Table:
+    """The table below a header.
 
-    Parameters
-    ----------
-    wanted : names that mark the header line
     kinds : columns to read, "int" or "float" (a hint; what does not fit is kept as text); None: all, as text
 
-    Raises RawError : the file is no table.
+    Raises RawError : there is none.
     """
-    data = read_text(path)
-    header = find_header(data, path.name, wanted)
-    return parse_table(data, header, path.name, kinds)
-
-
-def parse_table(data: bytes, header: Header, file: str, kinds: Mapping[str, str] | None = None) -> Table:
-    """The table below a header; see `read_table`."""
     if data.count(b"\n") > MAX_ROWS:
         raise RawError(f"{file}: has more than {MAX_ROWS} rows; split it")
     body, cut = _body(data, header, file)
