@@ -311,10 +311,11 @@ def _wander(device: Floats, host: Floats, line: ClockLine) -> Floats:
     windows = int(np.ptp(device) // WANDER_WINDOW)
     if windows < LEAST_WINDOWS:
         return none
+    order = np.argsort(device, kind="stable")
+    edges = device[order[0]] + WANDER_WINDOW * np.arange(1, windows)
     height = host - device - line(device)
-    window = np.minimum(((device - device.min()) // WANDER_WINDOW).astype(np.int64), windows - 1)
-    order = np.lexsort((height, window))
-    lowest = order[np.unique(window[order], return_index=True)[1]]
+    parts = np.split(order, np.unique(np.searchsorted(device[order], edges)))
+    lowest = np.array([part[np.argmin(height[part])] for part in parts if part.size])
     above = median_filter(height[lowest], 3, mode="nearest")
     if above.max() < WANDER_LEAST:
         return none

@@ -19,6 +19,7 @@ SPINNING = 0.5  # rad/s
 DRIVING = 0.5  # m/s
 ON_AXLE = 0.9  # share of a turning wheel's rotation that must be about its axle
 GRID = 0.02  # s
+LONGEST = 900.0  # s, of the middle of two recordings: more would only cost time
 FARTHEST = 1.0  # s: larger offsets between clocks are not looked for
 ALIKE = 0.8  # correlation from which an offset means something
 OFF = 0.15  # s: a worse offset between two streams is worth telling
@@ -143,7 +144,8 @@ def time_offset(t: Floats, x: Floats, t_ref: Floats, x_ref: Floats) -> tuple[flo
     start, stop = max(t[0], t_ref[0]), min(t[-1], t_ref[-1])
     if stop - start < 4.0 * FARTHEST:
         return 0.0, 0.0
-    grid = np.arange(start, stop, GRID)
+    spare = max(0.5 * (stop - start - LONGEST), 0.0)
+    grid = np.arange(start + spare, stop - spare, GRID)
     a, b = np.interp(grid, t, x), np.interp(grid, t_ref, x_ref)
     reach = round(FARTHEST / GRID)
     middle = b[reach:-reach] - b[reach:-reach].mean()
