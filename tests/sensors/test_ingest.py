@@ -230,3 +230,17 @@ def test_two_receivers_keep_their_own_times_on_one_host(tmp_path: Path) -> None:
     later = log.streams["gps2"].t_arrival - log.streams["gps"].t_arrival
     assert np.array_equal(log.streams["gps"].t, log.streams["gps2"].t)
     assert later.mean() == pytest.approx(0.1, abs=0.01)
+
+
+def test_units_without_host_time_are_placed_by_the_motion_alone(tmp_path: Path) -> None:
+    folder = write_pass(tmp_path / "pass", Plan(seconds=120.0), prefix=False)
+    rows = [row.split(",") for row in imu_lines(Plan(seconds=120.0))]
+    lines = [
+        ",".join([row[2], row[1], *row[3:6], *(f"{np.degrees(float(x)):.6f}" for x in row[6:])])
+        for row in rows
+    ]
+    header = "PacketCounter,SampleTimeFine,Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z"
+    (folder / "imd1.csv").write_text("\n".join([header, *lines]) + "\n")
+    log = read_pass(folder)
+    assert rate_error(log, 0.0) < 0.004
+    assert imu(log).t[0] == pytest.approx(START, abs=0.03)
