@@ -66,4 +66,5 @@ def warped(
     path = np.zeros((2 * a.size, 2), dtype=np.int64)
     warp_costs(np.ascontiguousarray(a), np.ascontiguousarray(b), band, steps)
     length = trace_back(steps, path)
-    return a[path[:length, 0]], b[path[:length, 1]]
+    forward = path[:length][::-1]
+    return a[forward[:, 0]], b[forward[:, 1]]

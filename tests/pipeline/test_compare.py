@@ -608,3 +608,18 @@ def test_the_printed_interval_holds_its_own_figure() -> None:
         for values in document["responses"].values():
             assert values["interval"][0] <= values["percent"] <= values["interval"][1]
             assert values["d_low"] <= values["d_high"]
+
+
+def test_steering_four_tenths_too_large_stays_under_the_threshold_but_is_absorbed_and_never_adequate() -> (
+    None
+):
+    plain = motion()
+    assert plain.steer_input is not None
+    gain = replace(plain.steer_input, angle=1.4 * truth().steer)
+    found = compare(replace(plain, steer_input=gain), machine(), manifest_of())
+    # The threshold alone is lax: that is why the alignment's bound and the null model stand beside it.
+    assert 0.05 < max(headline(found).values()) < 0.2
+    assert found.statistics is not None
+    assert found.statistics.windows_within < 0.5
+    verdict = judge_pass(found.statistics)
+    assert verdict.value != "adequate"

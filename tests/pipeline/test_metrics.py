@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from objective_rating_metrics import rating as other_iso
 from smts_validate.pipeline.metrics import METRICS, Metric, Pair, companions
+from smts_validate.pipeline.metrics._warping import trace_back, warp_costs, warped
 from smts_validate.pipeline.metrics.correlation import correlation
 from smts_validate.pipeline.metrics.cross_track import cross_track
 from smts_validate.pipeline.metrics.iso18571 import iso18571
@@ -228,3 +229,20 @@ def test_a_constant_signal_has_no_correlation_rather_than_a_wrong_one() -> None:
 def test_a_pair_that_cannot_be_compared_is_refused(measured: Floats, simulated: Floats, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         pair(measured, simulated)
+
+
+def test_the_compiled_warping_equals_its_uncompiled_self() -> None:
+    a, b = walk(11, 60)
+    steps, plain = np.zeros((60, 60), dtype=np.int8), np.zeros((60, 60), dtype=np.int8)
+    assert warp_costs(a, b, 7, steps) == warp_costs.py_func(a, b, 7, plain)
+    assert np.array_equal(steps, plain)
+    path, other = np.zeros((120, 2), dtype=np.int64), np.zeros((120, 2), dtype=np.int64)
+    assert trace_back(steps, path) == trace_back.py_func(steps, other)
+    assert np.array_equal(path, other)
+
+
+def test_warping_finds_the_cheapest_path_of_a_case_done_by_hand() -> None:
+    # 0 1 2 against 0 0 2: the cheapest path is (0,0) (0,1) (1,1) (2,2) or (0,0) (1,1) (2,2), at a cost of 1.
+    a, b = warped(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.0, 2.0]), 2)
+    assert float(np.sum((a - b) ** 2)) == 1.0
+    assert (a[0], b[0], a[-1], b[-1]) == (0.0, 0.0, 2.0, 2.0)
