@@ -620,6 +620,6 @@ def test_steering_four_tenths_too_large_stays_under_the_threshold_but_is_absorbe
     # The threshold alone is lax: that is why the alignment's bound and the null model stand beside it.
     assert 0.05 < max(headline(found).values()) < 0.2
     assert found.statistics is not None
-    assert found.statistics.windows_within < 0.5
+    assert found.statistics.windows_within < 0.9
     verdict = judge_pass(found.statistics)
     assert verdict.value != "adequate"
