@@ -8,11 +8,12 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from smts_validate.pipeline.fusion.motion import BodyMotion, Motion
+from smts_validate.pipeline.fusion.motion import BodyMotion, Motion, Origin
 from smts_validate.pipeline.twin import make_pass, write_raw
 from smts_validate.pipeline.twin_plan import TwinPlan, preset, with_value
+from smts_validate.sensors.geodesy import to_enu
 from smts_validate.sensors.ingest import read_pass
-from smts_validate.sensors.streams import FieldLog
+from smts_validate.sensors.streams import FieldLog, GnssStream
 
 PLACE = (50.041266, 36.485128, 148.5)
 SETTLED = 2.0  # s left out at both ends
@@ -105,6 +106,21 @@ def errors(motion: Motion, of: Sample) -> dict[str, tuple[np.ndarray, np.ndarray
 def _sd(b: BodyMotion, east: np.ndarray, north: np.ndarray) -> np.ndarray:
     C = b.covariance
     return np.sqrt(east**2 * C[:, 0, 0] + 2.0 * east * north * C[:, 0, 1] + north**2 * C[:, 1, 1])
+
+
+def receiver_slow_error(of: Sample) -> np.ndarray:
+    """Lateral error of the receiver itself, slower than 5 s, m: its positions less the truth's untilted antenna."""
+    name, g = next(iter(of.log.of_type(GnssStream).items()))
+    ahead, left, _ = of.log.manifest.sensors[name].position
+    x, y, _ = to_enu(g.lat, g.lon, g.alt, Origin(*of.place))
+    truth = of.truth
+    yaw = np.interp(g.t, truth[:, 0], np.unwrap(truth[:, 3]))
+    c, s = np.cos(yaw), np.sin(yaw)
+    dx = x - np.interp(g.t, truth[:, 0], truth[:, 1]) - ahead * c + left * s
+    dy = y - np.interp(g.t, truth[:, 0], truth[:, 2]) - ahead * s - left * c
+    window = max(int(5.0 / np.median(np.diff(g.t))), 1)
+    slow = np.convolve(c * dy - s * dx, np.ones(window) / window, mode="same")
+    return slow[(g.t > truth[0, 0] + SETTLED) & (g.t < truth[-1, 0] - SETTLED)]
 
 
 def rms(values: np.ndarray) -> float:
