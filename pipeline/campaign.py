@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from ..model.machine import Machine
 from ..sensors import manifest as manifests
 from ..sensors.manifest import Manifest
+from ..sensors.streams import Warn
 from .adequacy import ADEQUATE, INCONCLUSIVE, NOT_ADEQUATE, Verdict, judge_campaign
 from .bounds import DEVIATION1, DEVIATION2, YAW1, YAW2, PassStatistics, ResponseStatistics
 from .campaign_settings import CampaignError, CampaignSettings
@@ -22,7 +24,7 @@ from .campaign_spectra import BODIES, StoredDensity, version_spectra
 from .compare import run_labels
 from .effects import Effects, effects_of
 from .ensemble import ensemble_values, make_ensemble
-from .findings import PAPER, discrepancy_values, verdict_values
+from .findings import PAPER, discrepancy_values, verdict_values, warning_values
 from .operating import operating_curve
 from .report_view import PlotSeries
 from .result_tables import read_plots
@@ -221,7 +223,7 @@ def summarise_campaign(
         "verdict": worst_verdict(verdicts),
         "discrepancy": worst_discrepancy(verdicts),
         "paper": dict(PAPER),
-        "warnings": [],
+        "warnings": unknown_exclusions(records, settings),
         "health": {},
         "settings": {**asdict(settings), "exclude": dict(settings.exclude)},
         "variants": {v: variant_values(verdicts[v], rs, settings, seed) for v, rs in by_variant.items()},
@@ -233,18 +235,23 @@ def summarise_campaign(
     return Campaign(tuple(records), excluded, verdicts, effects, cells, document)
 
 
+def unknown_exclusions(records: Sequence[PassRecord], settings: CampaignSettings) -> list[dict[str, Any]]:
+    """A warning for each excluded run that has no result: it may have failed, or be misspelt."""
+    runs = [r.run for r in records]
+    found = []
+    for run in settings.exclude:
+        if run not in runs:
+            near = difflib.get_close_matches(run, runs, n=1, cutoff=0.6)
+            hint = f"; did you mean `{near[0]}`?" if near else ""
+            what = f'exclude."{run}": there is no such pass among the results{hint}'
+            found.append(warning_values(Warn(what, "nothing was left out by it", file="campaign.toml")))
+    return found
+
+
 def sort_out(
     records: Sequence[PassRecord], settings: CampaignSettings
 ) -> tuple[list[PassRecord], tuple[Excluded, ...]]:
-    """The records that count, and those that do not with the reason.
-
-    Raises CampaignError when a run named in `exclude` is not there: a misspelt exclusion would be no
-    exclusion.
-    """
-    runs = {r.run for r in records}
-    for run in settings.exclude:
-        if run not in runs:
-            raise CampaignError(f'campaign.toml: exclude."{run}": there is no such pass among the results')
+    """The records that count, and those that do not with the reason."""
     kept, excluded = [], []
     for record in records:
         reason = _reason(record, settings)
