@@ -284,6 +284,32 @@ def sweep(ranges: tuple[str, ...], out: Path, workers: int | None, as_json: bool
 
 
 @app.command()
+@click.argument("passes", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--free", multiple=True, required=True, metavar="NAME[=LOW:HIGH],...", help="What to estimate.")
+@click.option(
+    "--folds", type=click.Choice(["cell", "field", "direction", "pass"]), default="cell", show_default=True
+)
+@click.option("-o", "out", type=click.Path(path_type=Path), default="identified", show_default=True)
+@click.option("--require-adequate", is_flag=True, help="Exit with 3 when the held-out verdict is another.")
+@common
+def identify(
+    passes: tuple[Path, ...],
+    free: tuple[str, ...],
+    folds: str,
+    out: Path,
+    require_adequate: bool,
+    as_json: bool,
+) -> None:
+    """Estimate parameters from PASSES (logs, raw folders), judged on passes that were not used."""
+    from . import console
+    from .identify import identify_to_folder
+
+    document = identify_to_folder(passes, free, folds, out, progress)
+    emit(document, as_json, console.identified)
+    _leave_unless_adequate(require_adequate, document["verdict"]["value"])
+
+
+@app.command()
 @click.argument("campaign", type=click.Path(path_type=Path))
 @click.option("-o", "out", type=click.Path(path_type=Path), default="plan", show_default=True)
 @click.option("--repeats", "repeats", multiple=True, type=click.IntRange(1), help="Repeats to try.")

@@ -127,6 +127,27 @@ def studied(document: Document) -> str:
     return "\n".join([*tables, f"{len(document['files'])} files in {document['out']}"])
 
 
+def identified(document: Document) -> str:
+    """The estimates with their intervals, what was held, and the verdicts before, after and held out."""
+    header = ["parameter", "stated", "estimate", "standard error", "interval", "profile"]
+    keys = ("parameter", "stated", "estimate", "standard_error")
+    rows = [
+        [*(entry[key] for key in keys), _interval(entry["interval"]), _interval(entry["profile_interval"])]
+        for entry in document["parameters"]
+    ]
+    lines = [table(header, rows)]
+    lines += [f"held: {', '.join(str(value) for value in entry.values())}" for entry in document["held"]]
+    for name, stage in document["stages"].items():
+        lines.append(f"verdict {name.replace('_', ' ')}: {stage['verdict']['value']}")
+        lines += [f"  {discrepancy(kind, entry)}" for kind, entry in stage["discrepancy"].items()]
+    lines += [f"  because {reason}" for reason in document["verdict"]["reasons"]]
+    return "\n".join([*lines, f"all of it: {document['out']}/identify.json"])
+
+
+def _interval(ends: Sequence[float | None]) -> str:
+    return " to ".join(_cell(end) for end in ends)
+
+
 def planned(document: Document) -> str:
     """The advice for each version of a planned campaign, and the report to open."""
     lines = []

@@ -1,0 +1,313 @@
+"""Parameters from passes, and the verdict from passes that were not used.
+
+Every pass is fused once. The free parameters are estimated over all passes (what a researcher takes home), and again
+for each fold without it; the verdict comes only from the folds' own passes, replayed with parameters they had
+no part in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ..model.machine import Machine
+from ..sensors.manifest import Manifest
+from .adequacy import Rules, Verdict, judge_campaign, judge_pass
+from .campaign import WORST_FIRST
+from .compare import Comparison, compare
+from .findings import discrepancy_values, verdict_values
+from .fusion.fuse import fuse
+from .fusion.motion import Motion
+from .identify_fit import LEVEL, Fit, fit
+from .identify_problem import IdentifyError, Parameter, Stretch, changed, parameter_of, stretch_of
+from .identify_profile import profile
+from .replay_settings import ReplaySettings
+from .result import dump_json
+from .run import machine_of
+from .source import read_source
+
+Say = Callable[[str], None]
+Bounds = tuple[float, float] | None
+
+CELL, FIELD, DIRECTION, PASS = "cell", "field", "direction", "pass"
+FOLDS = (CELL, FIELD, DIRECTION, PASS)
+DOCUMENT = "identify.json"
+SETTINGS = replace(ReplaySettings(), horizons=())  # the horizon curve is no part of an identification
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A pass fused once, with the machine as its manifest states it."""
+
+    manifest: Manifest
+    motion: Motion
+    machine: Machine
+
+    @property
+    def run(self) -> str:
+        """The run's id."""
+        return self.manifest.run.id
+
+    def fold(self, kind: str) -> str:
+        """The fold that the pass belongs to."""
+        run = self.manifest.run
+        named = {
+            CELL: f"{run.field} {run.direction}",
+            FIELD: run.field,
+            DIRECTION: run.direction,
+            PASS: run.id,
+        }
+        return named[kind]
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One fold: what was left out, and the parameters from the others (None, with the reason: stated ones)."""
+
+    name: str
+    runs: tuple[str, ...]
+    fit: Fit | None
+    reason: str
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Estimates over all passes, and each pass compared before, after, and held out.
+
+    profiles : ends of the profile interval by parameter, None where a bound came first
+    """
+
+    recordings: tuple[Recording, ...]
+    parameters: tuple[Parameter, ...]
+    fit: Fit
+    profiles: Mapping[str, tuple[float | None, float | None]]
+    kind: str
+    folds: tuple[Fold, ...]
+    before: Mapping[str, Comparison]
+    after: Mapping[str, Comparison]
+    held_out: Mapping[str, Comparison]
+
+
+def record(source: Path) -> Recording:
+    """Read and fuse one pass: a log or a raw pass's folder."""
+    log = read_source(source)
+    return Recording(log.manifest, fuse(log), machine_of(log))
+
+
+def identify(
+    recordings: Sequence[Recording],
+    free: Mapping[str, Bounds],
+    kind: str = CELL,
+    settings: ReplaySettings = SETTINGS,
+    say: Say = lambda message: None,
+) -> Identification:
+    """Estimate the free parameters and compare every pass before, after and held out.
+
+    free : bounds by dotted name (None: a tenth to ten times the stated value); a manifest's [uncertainty]
+        gives a parameter's prior
+    kind : what a fold is: cell of field and direction, field, direction, or pass
+    Raises IdentifyError.
+    """
+    _require(recordings, free, kind)
+    before = {}
+    for r in recordings:
+        say(f"comparing {r.run} as stated")
+        before[r.run] = compare(r.motion, r.machine, r.manifest, settings)
+    stretches = [s for r in recordings for s in _stretches(r, before[r.run])]
+    parameters = tuple(_parameter(recordings, name, bounds) for name, bounds in free.items())
+    say("fitting all passes")
+    found = fit(stretches, parameters, settings.seed)
+    say("following the profiles")
+    profiles = {p.name: profile(found, i) for i, p in enumerate(found.parameters)}
+    after = {r.run: _compared(r, found, settings) for r in recordings}
+    folds = _folds(recordings, stretches, parameters, kind, settings.seed, say)
+    by_run = {run: fold.fit for fold in folds for run in fold.runs}
+    held_out = {
+        r.run: before[r.run] if (one := by_run[r.run]) is None else _compared(r, one, settings)
+        for r in recordings
+        if r.run in by_run
+    }
+    return Identification(
+        tuple(recordings), parameters, found, profiles, kind, folds, before, after, held_out
+    )
+
+
+def _require(recordings: Sequence[Recording], free: Mapping[str, Bounds], kind: str) -> None:
+    runs = [r.run for r in recordings]
+    twice = sorted({run for run in runs if runs.count(run) > 1})
+    if twice:
+        raise IdentifyError(f"{twice[0]}: two passes have this run.id; give each its own in run.toml")
+    if not free:
+        raise IdentifyError(
+            "--free: names no parameter; give one or more, like tyres.front.cornering_stiffness"
+        )
+    if kind not in FOLDS:
+        raise IdentifyError(f"--folds {kind}: is none of {', '.join(FOLDS)}")
+
+
+def _parameter(recordings: Sequence[Recording], name: str, bounds: Bounds) -> Parameter:
+    """A free parameter; its prior is the smallest standard deviation that a manifest states for it."""
+    sds = [sd for r in recordings if (sd := r.manifest.uncertainty.get(name, 0.0)) > 0.0]
+    return parameter_of(name, [r.machine for r in recordings], bounds, min(sds, default=None))
+
+
+def _stretches(recording: Recording, comparison: Comparison) -> list[Stretch]:
+    return [stretch_of(recording.run, recording.machine, row) for row in comparison.rows]
+
+
+def _compared(recording: Recording, found: Fit, settings: ReplaySettings) -> Comparison:
+    """A pass compared with the estimated parameters, their standard errors as what is not known of them."""
+    sds = {
+        p.name: p.spread(float(z), float(sd))
+        for p, z, sd in zip(found.parameters, found.z, found.sd, strict=True)
+    }
+    known = {**recording.manifest.uncertainty, **sds}
+    manifest = recording.manifest.model_copy(update={"uncertainty": known})
+    return compare(recording.motion, changed(recording.machine, found.values), manifest, settings)
+
+
+def _folds(
+    recordings: Sequence[Recording],
+    stretches: Sequence[Stretch],
+    parameters: Sequence[Parameter],
+    kind: str,
+    seed: int,
+    say: Say,
+) -> tuple[Fold, ...]:
+    """Each fold with the parameters from all the others; none when there is one fold only."""
+    names = list(dict.fromkeys(r.fold(kind) for r in recordings))
+    found = []
+    for name in names if len(names) > 1 else []:
+        say(f"fitting without {name}")
+        runs = tuple(r.run for r in recordings if r.fold(kind) == name)
+        try:
+            one = fit([s for s in stretches if s.run not in runs], parameters, seed)
+            found.append(Fold(name, runs, one, ""))
+        except IdentifyError as error:
+            found.append(Fold(name, runs, None, str(error)))
+    return tuple(found)
+
+
+def verdict_of(found: Identification, compared: Mapping[str, Comparison], rules: Rules) -> Verdict:
+    """The campaign's verdict over compared passes: the worst of the versions'."""
+    variants: dict[str, list[Any]] = {}
+    for r in found.recordings:
+        if r.run in compared and (statistics := compared[r.run].statistics) is not None:
+            variants.setdefault(r.manifest.run.variant, []).append(statistics)
+    verdicts = [judge_campaign(members, rules) for members in variants.values()]
+    if not verdicts:
+        empty = judge_campaign((), rules)
+        what = f"no pass is left to judge: all belong to one {found.kind}, and all were used"
+        return replace(empty, reasons=(f"{what}; add passes, or --folds pass",))
+    return min(verdicts, key=lambda v: WORST_FIRST.index(v.value))
+
+
+def document_of(found: Identification, rules: Rules = Rules()) -> dict[str, Any]:
+    """Plain JSON values: the held-out verdict first, then parameters, folds and passes."""
+    stages = {"before": found.before, "after": found.after, "held_out": found.held_out}
+    verdicts = {stage: verdict_of(found, compared, rules) for stage, compared in stages.items()}
+    return {
+        "schema": 1,
+        "verdict": verdict_values(verdicts["held_out"]),
+        "folds_by": found.kind,
+        "stages": {
+            stage: {
+                "verdict": verdict_values(v),
+                "discrepancy": discrepancy_values(v.responses),
+                "decides": stage == "held_out",
+            }
+            for stage, v in verdicts.items()
+        },
+        "parameters": [_estimate(found, i) for i in range(len(found.fit.parameters))],
+        "held": [vars(h) for h in found.fit.held],
+        "correlation": {
+            "parameters": [p.name for p in found.fit.parameters],
+            "matrix": found.fit.correlation.tolist(),
+        },
+        "folds": [_fold_values(f) for f in found.folds],
+        "passes": [
+            {
+                "run": r.run,
+                "field": r.manifest.run.field,
+                "direction": r.manifest.run.direction,
+                "rows": len(found.before[r.run].rows),
+                **{s: _pass_discrepancy(compared.get(r.run), rules) for s, compared in stages.items()},
+            }
+            for r in found.recordings
+        ],
+    }
+
+
+def _estimate(found: Identification, i: int) -> dict[str, Any]:
+    one, p = found.fit, found.fit.parameters[i]
+    z, sd = float(one.z[i]), float(one.sd[i])
+    value, reach = p.value(z), one.quantile * sd
+    return {
+        "parameter": p.name,
+        "stated": p.stated,
+        "estimate": value,
+        "standard_error": p.spread(z, sd),
+        "standard_error_uncorrected": p.spread(z, float(one.bread[i, i]) ** 0.5),
+        "interval": [p.value(z - reach), p.value(z + reach)],
+        "profile_interval": list(found.profiles[p.name]),
+        "level": LEVEL,
+        "bounds": [p.low, p.high],
+        "at_bound": bool(not p.low < value < p.high),
+        "prior_sd": p.prior_sd,
+        "steering_noise_pull": p.value(float(one.optimum[i])) - value,
+    }
+
+
+def _fold_values(fold: Fold) -> dict[str, Any]:
+    values = {} if fold.fit is None else fold.fit.values
+    held = [] if fold.fit is None else [vars(h) for h in fold.fit.held]
+    return {
+        "left_out": fold.name, "runs": list(fold.runs), "estimates": values, "held": held, "reason": fold.reason
+    }  # fmt: skip
+
+
+def _pass_discrepancy(comparison: Comparison | None, rules: Rules) -> dict[str, Any] | None:
+    if comparison is None or comparison.statistics is None:
+        return None
+    return discrepancy_values(judge_pass(comparison.statistics, rules).responses)
+
+
+def parse_free(texts: Sequence[str]) -> dict[str, Bounds]:
+    """Free parameters from the command line: names, or NAME=LOW:HIGH, separated by commas."""
+    found: dict[str, Bounds] = {}
+    for text in (part.strip() for entry in texts for part in entry.split(",")):
+        name, given, ends = text.partition("=")
+        if not text:
+            continue
+        if name in found:
+            raise IdentifyError(f"--free {name}: is named twice")
+        try:
+            low, high = (float(end) for end in ends.split(":")) if given else (0.0, 0.0)
+        except ValueError:
+            raise IdentifyError(f"--free {text}: bounds are written NAME=LOW:HIGH, in SI units") from None
+        found[name] = (low, high) if given else None
+    return found
+
+
+def identify_to_folder(
+    sources: Sequence[Path],
+    free: Sequence[str],
+    kind: str,
+    out: Path,
+    say: Say = lambda message: None,
+) -> dict[str, Any]:
+    """Identify from passes as they lie (logs, raw folders); `identify.json` lands in `out`.
+
+    Gives its document. Raises IdentifyError, and the stages' own errors.
+    """
+    wanted = parse_free(free)
+    recordings = []
+    for source in sources:
+        say(f"reading and fusing {source}")
+        recordings.append(record(source))
+    document = document_of(identify(recordings, wanted, kind, say=say))
+    out.mkdir(parents=True, exist_ok=True)
+    (out / DOCUMENT).write_text(dump_json(document), encoding="utf-8")
+    return {**document, "out": str(out)}
