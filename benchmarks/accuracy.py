@@ -75,5 +75,5 @@ if __name__ == "__main__":
     table("all", [row for _, row, _ in results])
     beyond = np.array([excess for name, _, excess in results if name == "benign"]) * 1000.0
     print(
-        f"benign, lateral error beyond the receiver's own: median {np.median(beyond):.1f} mm, largest {beyond.max():.1f} mm"
+        f"benign, lateral beyond the receiver's own: median {np.median(beyond):.1f} mm, largest {beyond.max():.1f} mm"
     )

@@ -114,9 +114,12 @@ Floats = NDArray[np.float64]
 
 
 @njit(cache=True, error_model="numpy")
-def fade(x: Floats, dt: float, p: Floats, F: Floats, out: Floats) -> None:
+def fade(x: Floats, u: Floats, dt: float, p: Floats, F: Floats, out: Floats) -> None:
     """Gauss-Markov components after one step, into `out`, and their factors, on the diagonal of F."""
-    slip, bend, slow = math.exp(-dt / p[P_TAU_SLIP]), math.exp(-dt / TAU_TURN), math.exp(-dt / p[P_TAU_E])
+    slip, slow = math.exp(-dt / p[P_TAU_SLIP]), math.exp(-dt / p[P_TAU_E])
+    bent = p[P_SEEDER] * abs(x[YAW1] - x[YAW2]) > BEND_FROM
+    turning = bent or abs(x[V] * (u[U_WZ] - x[BGZ])) > TURN_FROM
+    bend = math.exp(-dt / TAU_TURN) if turning else slip  # the slip of a turn ends with the turn
     for i in (SLIP1, SLIP2):
         F[i, i] = slip
         out[i] = slip * x[i]
@@ -160,7 +163,7 @@ def transition(x: Floats, u: Floats, dt: float, p: Floats, F: Floats) -> Floats:
     out[X] = x[X] + (speed * cy - across * sy) * dt
     out[Y] = x[Y] + (speed * sy + across * cy) * dt
     out[YAW2] = x[YAW2] + turn2 * h
-    fade(x, dt, p, F, out)
+    fade(x, u, dt, p, F, out)
     F[X, YAW1], F[Y, YAW1] = -(out[Y] - x[Y]), out[X] - x[X]
     F[X, V], F[X, SLIP1] = cy * dt, -sy * dt
     F[Y, V], F[Y, SLIP1] = sy * dt, cy * dt
