@@ -284,6 +284,18 @@ def test_impossible_and_repeated_positions_are_dropped_with_their_rows(tmp_path:
     }
 
 
+def test_a_date_of_another_age_is_no_overflow(tmp_path: Path) -> None:
+    rows = "1012-05-14T10:01:00.1Z,50.0,36.0\n" + "".join(f"{TIMES['iso'](k)},50.0,36.0\n" for k in range(5))
+    assert read_gnss_csv(tmp_path, "time,latitude,longitude\n" + rows).utc[1:] == pytest.approx(
+        START + 0.1 * np.arange(5), abs=1e-6
+    )
+
+
+def test_an_empty_sentence_log_is_refused() -> None:
+    with pytest.raises(RawError, match="no usable GGA"):
+        nmea.parse(b"", "gps.nmea", "gps", DATE)
+
+
 # --- AgOpenGPS ---
 
 
