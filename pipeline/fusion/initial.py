@@ -15,7 +15,7 @@ from .problem import Epochs
 Floats = NDArray[np.float64]
 
 BASELINE = 4.0  # m of travel over which a course is taken
-LAGS = np.arange(-6, 7) * 0.025  # s about the prior, to start the lag's own estimate from
+LAGS = np.arange(-10, 6) * 0.025  # s: latencies of 20 to 350 ms where 100 ms was assumed
 
 
 def ground_speed(t: Floats, e: Epochs) -> Floats:

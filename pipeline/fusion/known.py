@@ -159,9 +159,7 @@ def levelled(known: Known, path: Floats) -> Known:
     return replace(again, yaw=(path[:, s.YAW1].copy(), path[:, s.YAW2].copy()))
 
 
-def build(
-    known: Known, options: FusionSettings, levels: Levels, lag: float, inject: Floats | None = None
-) -> Problem:
+def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> Problem:
     """The estimation problem at given levels, its GNSS epochs placed by `lag`."""
     p = problem.parameters_of(known.log.manifest, known.epochs, known.one, known.two)
     p = problem.with_levels(p, levels, known.epochs)
@@ -183,8 +181,8 @@ def build(
         (float(known.yaw[0][0]), float(known.yaw[1][0])), float(np.nan_to_num(known.speed[0]) * known.forwards[0]),
         lag_sd(known.log), known.nodes, known.bias,
     )  # fmt: skip
-    if inject is None:
-        inject = new_float_spans(known, lag, p)
+    x0[s.LAG] = lag
+    inject = new_float_spans(known, lag, p)
     return Problem(known.t, known.steps, known.nodes, q, inject, p, x0, P0)
 
 

@@ -25,6 +25,7 @@ Ints = NDArray[np.int64]
 EVERY_TILT = 2  # nodes between tilt and hitch measurements: 25 Hz
 EVERY_WHEEL = 5
 LEVEL_EVERY = 50
+APART = 5.0  # m, with ten times the median distance: altitudes that far from the median are not the ground's
 HITCH_FLOOR = 0.001  # m/s, white part of the seeder's lateral velocity
 SLOWEST_COURSE = 0.5  # m/s: below it a receiver's course is noise
 DRIVE_WINDOW = 51  # nodes: acceleration by the wheels is a slope over 1 s
@@ -364,9 +365,12 @@ def ground_slope(e: Epochs) -> tuple[Floats, Floats]:
     """Gradient (2,) of the ground east and north, and its covariance (2, 2), from altitudes along the path.
 
     Ridge regression: altitudes err slowly, by twice the horizontal deviation; a gradient that the path does not
-    show has the prior of a field as level as the one it shows, never better than SLOPE.
+    show has the prior of a field as level as the one it shows, never better than SLOPE. An altitude that stands
+    apart from all others (a fix in two dimensions reads 0 m) is none of the ground's.
     """
-    ok = np.isfinite(e.z)
+    middle = np.nanmedian(e.z) if np.isfinite(e.z).any() else math.nan
+    apart = np.abs(e.z - middle)
+    ok = apart <= APART + 10.0 * np.nanmedian(apart) if math.isfinite(middle) else np.isfinite(e.z)
     if ok.sum() < 20:
         return np.zeros(2), np.eye(2) * (3.0 * physics.SLOPE) ** 2
     A = np.column_stack([e.x[ok] - e.x[ok].mean(), e.y[ok] - e.y[ok].mean()])

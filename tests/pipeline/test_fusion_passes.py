@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ from fusion_samples import Sample, changed, errors, make, rms, sample
 from smts_validate.pipeline.fusion.fuse import fuse
 from smts_validate.pipeline.fusion.known import FusionError
 from smts_validate.pipeline.fusion.motion import Motion
+from smts_validate.pipeline.fusion.problem import Epochs, ground_slope
 from smts_validate.pipeline.fusion.settings import FusionSettings
 from smts_validate.pipeline.twin_plan import preset
 from smts_validate.sensors.geodesy import to_enu, to_geodetic
@@ -281,6 +283,16 @@ def test_a_filter_whose_noise_is_misstated_says_so(short: tuple[Sample, Motion])
     assert any("innovations" in w.what for w in motion.warnings)
 
 
+@pytest.mark.parametrize("latency", [0.02, 0.3])
+def test_the_receivers_latency_is_found_from_the_motion(latency: float) -> None:
+    of = make(changed(SHORT, gnss__latency=latency), 7)
+    motion = fuse(of.log)
+    lag = motion.calibration["lag"]
+    # inertial time runs ahead of UTC by what the assumed 0.1 s is more than the latency, less the units' own 1 ms
+    assert lag["value"] == pytest.approx(0.1 - latency, abs=0.008)
+    assert rms(errors(motion, of)["yaw1"][0]) < 0.08 * DEG
+
+
 @pytest.mark.full
 def test_stated_deviations_cover_the_error_over_a_hundred_twins() -> None:
     """Coverage of 1.96 standard deviations, pooled over seeds with fields, headings and faults that vary."""
@@ -301,3 +313,17 @@ def test_stated_deviations_cover_the_error_over_a_hundred_twins() -> None:
     # a pass's error is nearly one draw (slow GNSS error, tilt): the mean of 100 is known to about 2 %
     for name in ("lateral1", "along1", "yaw1", "lateral2", "along2", "yaw2"):
         assert coverage[name] > 0.90, coverage
+
+
+def test_an_altitude_of_zero_in_a_high_field_is_no_slope() -> None:
+    t = np.arange(0.0, 40.0, 0.1)
+    nothing = np.full(t.size, np.nan)
+    z = 150.0 + 0.01 * 2.8 * t
+    z[[0, 200]] = 0.0  # fixes in two dimensions
+    epochs = Epochs(
+        "gps", "tractor", True, t, 2.8 * t, 0.0 * t, z, np.full(t.size, 0.011), np.ones(t.size, dtype=bool),
+        nothing, nothing, nothing, True,
+    )  # fmt: skip
+    gradient, covariance = ground_slope(epochs)
+    assert gradient[0] == pytest.approx(0.01, abs=0.002)
+    assert math.sqrt(covariance[0, 0]) < 0.005
