@@ -354,7 +354,7 @@ def _nearest_timed(sentences: Sentences, timed: Ints, untimed: Ints) -> Ints:
 def _epochs(fields: Fields, sentences: Sentences, utc: Floats) -> RawGnss:
     """Sentences of one instant put together. Where two speak of a value, the better source does."""
     ticks = np.rint(utc * TICKS).astype(np.int64)
-    _, first, epoch = np.unique(ticks, return_index=True, return_inverse=True)
+    instants, first, epoch = np.unique(ticks, return_index=True, return_inverse=True)
     values = {key: np.full(first.size, np.nan) for key in GnssStream.ARRAYS}
     for kind in (RMC, PANDA, PAOGI, VTG, GST, HDT, THS, GGA):
         chosen = sentences.kind == kind
@@ -362,13 +362,24 @@ def _epochs(fields: Fields, sentences: Sentences, utc: Floats) -> RawGnss:
             said = chosen & ~np.isnan(fields.values[key])
             values[key][epoch[said]] = fields.values[key][said]
     nowhere = np.isnan(values["lat"]) | np.isnan(values["lon"])
-    values["alt"] = np.nan_to_num(values["alt"])
+    values["alt"] = _altitudes(instants, values["alt"])
     for key in ("lat", "lon", "alt"):
         values[key] = np.where(nowhere, np.nan, values[key])
     values["quality"] = np.nan_to_num(values["quality"])
     prefixed = bool((sentences.host_ns >= 0).all())
     host = _arrivals(sentences, first, epoch) if prefixed else None
     return RawGnss(utc[first], host, sentences.row[first], values)
+
+
+def _altitudes(instants: Ints, alt: Floats) -> Floats:
+    """Altitudes (N,), m, bridged where an epoch has lost its GGA; 0 where the file has none.
+
+    RMC alone still gives a position there: a zero in the midst of a field would be a pit as deep as its altitude.
+    """
+    known = np.isfinite(alt)
+    if not known.any():
+        return np.zeros(alt.size)
+    return np.asarray(np.interp(instants, instants[known], alt[known]), dtype=np.float64)
 
 
 def _arrivals(sentences: Sentences, first: Ints, epoch: Ints) -> Ints:

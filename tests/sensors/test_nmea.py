@@ -38,6 +38,13 @@ def parsed(*lines: str, date: dt.date = DATE) -> RawGnss:
     return nmea.parse(("\r\n".join(lines) + "\r\n").encode(), "gps.nmea", "gps", date)
 
 
+def test_an_epoch_that_lost_its_gga_takes_the_altitude_of_those_beside_it() -> None:
+    rmc = sentence("GNRMC,100100.20,A,5002.5,N,03629.0,E,5.000,90.0,140525,,,R")
+    before = sentence("GNRMC,100100.00,A,5002.5,N,03629.0,E,5.000,90.0,140525,,,R")
+    gnss = parsed(before, gga("100100.10"), rmc, gga("100100.30", rest="137.5,M,16.0,M"))
+    assert gnss.values["alt"].tolist() == pytest.approx([151.5, 151.5, 152.5, 153.5])
+
+
 def test_an_epoch_gathers_all_its_sentences() -> None:
     gnss = parsed(
         gga("100100.10"),
