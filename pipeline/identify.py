@@ -23,6 +23,7 @@ from .fusion.motion import Motion
 from .identify_fit import LEVEL, Fit, fit
 from .identify_problem import IdentifyError, Parameter, Stretch, changed, parameter_of, stretch_of
 from .identify_profile import profile
+from .identify_report import write_report
 from .replay_settings import ReplaySettings
 from .result import dump_json
 from .run import machine_of
@@ -298,7 +299,7 @@ def identify_to_folder(
     out: Path,
     say: Say = lambda message: None,
 ) -> dict[str, Any]:
-    """Identify from passes as they lie (logs, raw folders); `identify.json` lands in `out`.
+    """Identify from passes as they lie (logs, raw folders); `identify.json` and a report land in `out`.
 
     Gives its document. Raises IdentifyError, and the stages' own errors.
     """
@@ -310,4 +311,5 @@ def identify_to_folder(
     document = document_of(identify(recordings, wanted, kind, say=say))
     out.mkdir(parents=True, exist_ok=True)
     (out / DOCUMENT).write_text(dump_json(document), encoding="utf-8")
-    return {**document, "out": str(out)}
+    page = write_report(document, out, max(r.manifest.run.date for r in recordings))
+    return {**document, "out": str(out), "report": str(page)}

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import binom
 from smts_validate.model.machine import Machine
+from smts_validate.pipeline.adequacy import Rules, judge_campaign
 from smts_validate.pipeline.compare import compare
 from smts_validate.pipeline.console import identified
 from smts_validate.pipeline.fusion.motion import Motion
@@ -35,6 +38,7 @@ from smts_validate.pipeline.identify_problem import (
     values_at,
     weights_by_response,
 )
+from smts_validate.pipeline.identify_report import write_report
 from smts_validate.pipeline.result import dump_json
 from synthetic_motion import Errors, Field, alone, machine_of, manifest_of, motion_of, truth_of
 
@@ -126,6 +130,16 @@ def test_the_document_is_json_and_its_text_names_what_was_found_held_and_judged(
 
 
 @pytest.mark.slow
+def test_the_report_shows_the_estimates_what_was_held_and_all_three_stages(tmp_path: Path) -> None:
+    document = json.loads(dump_json(document_of(recovered())))
+    page = write_report(document, tmp_path, dt.date(2025, 5, 14)).read_text(encoding="utf-8")
+    (found,), (held,) = document["parameters"], document["held"]
+    for word in (f"{found['estimate']:.4g}", held["name"], held["reason"], "before: as stated", "held out"):
+        assert word in page
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.slow
 def test_a_tractor_alone_is_identified_too() -> None:
     truth = machine_of(alone(STATED))
     wrong = truth.replace_parameters({FRONT: 1.4 * truth.parameter(FRONT)})
@@ -134,6 +148,23 @@ def test_a_tractor_alone_is_identified_too() -> None:
     reach = found.quantile * found.sd[0]
     low, high = (found.parameters[0].value(found.z[0] + side * reach) for side in (-1.0, 1.0))
     assert low < truth.parameter(FRONT) < high
+
+
+@pytest.mark.slow
+def test_a_missing_relaxation_length_is_not_hidden_by_fitting_stiffnesses() -> None:
+    missing = {f"tyres.{axle}.relaxation_length": 4.0 for axle in ("front", "rear", "seeder")}
+    recordings = campaign(TRUE, TRUE.replace_parameters(missing))
+    held_out = []
+    for direction, _ in CELLS:
+        others = [r for r in recordings if r.manifest.run.direction != direction]
+        values = fitted(others, FRONT, "tyres.seeder.cornering_stiffness").values
+        for r in recordings:
+            if r not in others:
+                mended = r.machine.replace_parameters(values)
+                held_out.append(compare(r.motion, mended, r.manifest, SETTINGS).statistics)
+    verdict = judge_campaign([s for s in held_out if s is not None], Rules(threshold_percent=10.0))
+    assert len(held_out) == verdict.passes == 4
+    assert verdict.value == "not adequate"
 
 
 def test_the_jacobian_is_that_of_the_residuals_over_a_step_ten_times_as_long() -> None:
