@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +19,7 @@ from .consistency import assess, innovations
 from .engine_compiled import Filtered, Smoothed
 from .filtering import unpack
 from .known import Known
-from .motion import Motion
+from .motion import Motion, SteerInput
 from .prepare import STEP
 from .problem import Problem
 from .settings import FusionSettings, Levels
@@ -28,6 +29,7 @@ Floats = NDArray[np.float64]
 
 # Constant crab, unseen, as a share of the slip angle's standard deviation: side forces average out along a row.
 CRAB = 0.1
+ZERO_FAR = 4.0  # stated standard deviations of a steering sensor's zero, beyond which its reader is told
 OUTAGE = 2.0  # s without an accepted position that is worth a warning
 
 
@@ -77,7 +79,7 @@ def assemble(
         consistent=all(c.consistent for c in consistency), noise=noise_table(known, levels, free, p),
         calibration=calibration(smooth.x[-1], filtered.P[-1], int(p[s.P_ACTIVE]), known, wheels),
         innovations=innovations(task.measurements, filtered, known.t - lag),
-        warnings=warnings_of(known, gnss_t, t, consistency, jumps, wheels),
+        warnings=warnings_of(known, gnss_t, t, consistency, jumps, wheels) + steering_warnings(given, steer),
     )  # fmt: skip
 
 
@@ -159,6 +161,22 @@ def noise_table(known: Known, levels: Levels, free: tuple[str, ...], p: Floats) 
         )
     }
     return table
+
+
+def steering_warnings(given: SteerInput | None, steer: Floats) -> tuple[Warn, ...]:
+    """Whether the steering sensor's zero lies beyond its stated doubt: steer (N,), rad, is the best estimate.
+
+    Such a replay is turned by a wrong input, and its verdict speaks of the sensor and not of the model.
+    """
+    both = np.isfinite(given.angle) & np.isfinite(steer) if given is not None else np.zeros(0, dtype=np.bool_)
+    if given is None or given.source != "sensor" or not both.any():
+        return ()
+    zero = float(np.median((given.angle - steer)[both]))
+    if abs(zero) <= ZERO_FAR * given.zero_sd:
+        return ()
+    doubt = math.degrees(given.zero_sd)
+    told = f"the sensor's zero is {math.degrees(zero):.1f}° off, its stated doubt is {doubt:.1f}°"
+    return (Warn(told, "the replay is driven by it: mend steer.csv or state zero_sd_deg", "steer"),)
 
 
 def warnings_of(

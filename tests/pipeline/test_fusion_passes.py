@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from fusion_samples import Sample, changed, errors, make, rms, sample
+from smts_validate.pipeline.fusion.assemble import steering_warnings
 from smts_validate.pipeline.fusion.fuse import fuse
 from smts_validate.pipeline.fusion.known import FusionError
-from smts_validate.pipeline.fusion.motion import Motion
+from smts_validate.pipeline.fusion.motion import Motion, SteerInput
 from smts_validate.pipeline.fusion.problem import Epochs, ground_slope
 from smts_validate.pipeline.fusion.settings import FusionSettings
 from smts_validate.pipeline.twin_plan import preset
@@ -327,3 +328,12 @@ def test_an_altitude_of_zero_in_a_high_field_is_no_slope() -> None:
     gradient, covariance = ground_slope(epochs)
     assert gradient[0] == pytest.approx(0.01, abs=0.002)
     assert math.sqrt(covariance[0, 0]) < 0.005
+
+
+def test_a_steering_sensor_whose_zero_is_far_off_is_told_of() -> None:
+    true = 0.01 * np.sin(np.arange(500) / 50.0)
+    honest = SteerInput(true + math.radians(0.5), np.full(500, 0.002), 0.0, math.radians(0.3), 0.01, "sensor")
+    bent = replace(honest, angle=true + math.radians(2.0))
+    assert steering_warnings(honest, true) == ()
+    assert "2.0° off" in steering_warnings(bent, true)[0].what
+    assert steering_warnings(None, true) == ()
