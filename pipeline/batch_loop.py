@@ -60,6 +60,7 @@ class _Tally:
     unchanged: int = 0
     pending: dict[Future[Outcome], tuple[Task, int]] = field(default_factory=dict)
     failures: list[Outcome] = field(default_factory=list)
+    suspects: list[Task] = field(default_factory=list)
 
     def progress(self, slots: int, last: Outcome | None = None, note: str = "") -> Progress:
         running = tuple(task.run for task, _ in list(self.pending.values())[:slots])
@@ -106,7 +107,10 @@ def run_all(
     waiting = iter(tasks)
     try:
         _fill(tally, waiting, executor, slots, work)
-        while tally.pending:
+        while tally.pending or tally.suspects:
+            if not tally.pending:
+                task = tally.suspects.pop()
+                tally.pending[executor.submit(work, task)] = (task, TRIES)
             _collect(tally, executor, slots, watch, work)
             _fill(tally, waiting, executor, slots, work)
     except KeyboardInterrupt:
@@ -139,6 +143,12 @@ def _collect(
             tally.pending[executor.submit(work, task)] = (task, tries + 1)
             watch(tally.progress(slots, note=f"{task.run}: its worker was lost; trying again on another"))
             continue
+        if _may_be_innocent(error) and tries < TRIES:
+            tally.suspects.append(task)
+            watch(
+                tally.progress(slots, note=f"{task.run}: its workers were lost; trying it alone at the end")
+            )
+            continue
         outcome = future.result() if error is None else _lost(task, tries, error)
         tally.book(outcome)
         watch(tally.progress(slots, last=outcome))
@@ -155,9 +165,15 @@ def _worker_was_lost(error: BaseException | None) -> bool:
     return isinstance(error, BrokenExecutor)
 
 
+def _may_be_innocent(error: BaseException | None) -> bool:
+    """Dask tries a lost worker's tasks again by itself, then says KilledWorker: also of a task that only
+    waited on the same workers as the one that killed them."""
+    return type(error).__name__ == "KilledWorker"
+
+
 def _lost(task: Task, tries: int, error: BaseException) -> Outcome:
-    """A pass that no worker brought to its end (Dask tries again by itself, then says KilledWorker)."""
-    if _worker_was_lost(error) or type(error).__name__ == "KilledWorker":
+    """A pass that no worker brought to its end."""
+    if _worker_was_lost(error) or _may_be_innocent(error):
         reason = (
             f"its worker died each of the {TRIES} times it was tried, as when memory runs out; run it alone"
             " with `smts-validate run`, or with fewer workers (-j)"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import batch_samples
+import dask
 import pytest
 from distributed import LocalCluster
 from smts_validate.pipeline.batch_executors import ClusterError, dask_executor
@@ -17,7 +18,10 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as running:
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+        LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as running,
+    ):
         yield running
 
 

@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 import time
+from concurrent.futures import Future
 from pathlib import Path
 
 import batch_samples
@@ -99,6 +100,30 @@ def test_no_more_than_twice_the_slots_are_ever_submitted() -> None:
     tasks = [batch_samples.task(str(i)) for i in range(50)]
     run_all(tasks, Counting(), 3, watch=ended, work=batch_samples.succeed)
     assert most == 6
+
+
+def test_a_pass_blamed_for_workers_that_another_killed_is_cleared_by_running_alone() -> None:
+    """As Dask does: whoever was on the lost workers is given up, not only who killed them."""
+    submitted: list[str] = []
+
+    class KilledWorker(Exception):  # noqa: N818 (Dask's name)
+        pass
+
+    class Blaming(SerialExecutor):
+        def submit(self, fn, /, *args, **kwargs):  # type: ignore[no-untyped-def]
+            run = args[0].run
+            submitted.append(run)
+            future = super().submit(fn, *args, **kwargs)
+            if run == "deadly" or (run == "innocent" and submitted.count(run) == 1):
+                future = Future()
+                future.set_exception(KilledWorker(run))
+            return future
+
+    tasks = [batch_samples.task(run) for run in ("innocent", "deadly", "c", "d")]
+    result = run_all(tasks, Blaming(), 1, work=batch_samples.succeed)
+    assert result.done == 3
+    assert [failure.run for failure in result.failures] == ["deadly"]
+    assert sorted(submitted[4:]) == ["deadly", "innocent"]
 
 
 def test_a_slot_count_below_one_is_refused() -> None:
