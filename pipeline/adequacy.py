@@ -119,13 +119,13 @@ def judged(summary: Summary, response: str, rules: Rules, responses: int, spread
     )
 
 
-def judge_pass(one: PassStatistics | None, rules: Rules = Rules()) -> Verdict:
+def judge_pass(one: PassStatistics | None, rules: Rules = Rules(), left_out: Sequence[str] = ()) -> Verdict:
     """The verdict of scope `pass`: from its own D, u and u_in; it speaks of this pass and not of the model.
 
-    None: the log held no row to compare.
+    None: the log held no row to compare; left_out : why its stretches were left out, told in the reason.
     """
     if one is None or not one.responses:
-        text = "no row was compared, so there is nothing to judge"
+        text = "; ".join(("no row was compared, so there is nothing to judge", *left_out))
         return Verdict(INCONCLUSIVE, "pass", (text,), ("no-row",), {}, 0, None, rules)
     return _judge((one,), rules, "pass")
 

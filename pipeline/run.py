@@ -42,7 +42,8 @@ def run_pass(log: FieldLog, settings: RunSettings = RunSettings(), say: Say = si
     machine = machine_of(log)
     comparison = compare(motion, machine, manifest, settings.replay)
     spectra = spectra_of(motion, comparison, machine)
-    verdict = judge_pass(comparison.statistics, settings.rules)
+    left_out = [one.reason for one in (*comparison.excluded, *comparison.passed_over)]
+    verdict = judge_pass(comparison.statistics, settings.rules, left_out)
     return PassResult(
         manifest=manifest,
         manifest_text=log.manifest_text,

@@ -365,3 +365,10 @@ def test_an_inconsistent_filter_widens_both_bounds() -> None:
     assert held.hi is not None
     assert doubted.hi > held.hi
     assert (doubted.lo or 0.0) <= (held.lo or 0.0)
+
+
+def test_a_pass_without_a_row_says_why_its_stretches_were_left_out() -> None:
+    verdict = judge_pass(None, left_out=["83.6 % of it lies outside GNSS gaps, 95 % are needed"])
+    assert verdict.value == "inconclusive"
+    assert "no row was compared" in verdict.reasons[0]
+    assert "83.6 %" in verdict.reasons[0]
