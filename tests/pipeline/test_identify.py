@@ -150,6 +150,19 @@ def test_a_tractor_alone_is_identified_too() -> None:
     assert low < truth.parameter(FRONT) < high
 
 
+def test_without_a_steering_series_the_seeder_is_identified_behind_the_measured_tractor_and_nothing_else() -> (
+    None
+):
+    length = "seeder.hitch_to_com"
+    wrong = TRUE.replace_parameters({length: 4.0})
+    recordings = [replace(r, motion=replace(r.motion, steer_input=None)) for r in campaign(wrong)]
+    found = fitted(recordings, length)
+    assert found.layout.names == ("deviation2", "yaw2")
+    assert abs(found.values[length] - TRUE.parameter(length)) < 0.1
+    with pytest.raises(IdentifyError, match="does not act on the motion compared"):
+        fitted(recordings, FRONT)
+
+
 @pytest.mark.slow
 def test_a_missing_relaxation_length_is_not_hidden_by_fitting_stiffnesses() -> None:
     missing = {f"tyres.{axle}.relaxation_length": 4.0 for axle in ("front", "rear", "seeder")}
