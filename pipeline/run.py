@@ -42,7 +42,7 @@ def run_pass(log: FieldLog, settings: RunSettings = RunSettings(), say: Say = si
     machine = machine_of(log)
     comparison = compare(motion, machine, manifest, settings.replay)
     spectra = spectra_of(motion, comparison, machine)
-    left_out = [one.reason for one in (*comparison.excluded, *comparison.passed_over)]
+    left_out = [row.reason for row in comparison.excluded] + [one.reason for one in comparison.passed_over]
     verdict = judge_pass(comparison.statistics, settings.rules, left_out)
     return PassResult(
         manifest=manifest,
