@@ -112,12 +112,12 @@ def identify(
     Raises IdentifyError.
     """
     _require(recordings, free, kind)
+    parameters = tuple(_parameter(recordings, name, bounds) for name, bounds in free.items())
     before = {}
     for r in recordings:
         say(f"comparing {r.run} as stated")
         before[r.run] = compare(r.motion, r.machine, r.manifest, settings)
     stretches = [s for r in recordings for s in _stretches(r, before[r.run])]
-    parameters = tuple(_parameter(recordings, name, bounds) for name, bounds in free.items())
     say("fitting all passes")
     found = fit(stretches, parameters, settings.seed)
     say("following the profiles")

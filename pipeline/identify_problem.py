@@ -248,8 +248,10 @@ def parameter_of(
     """
     try:
         stated = [machine.parameter(name) for machine in machines]
-    except (MachineError, TypeError, ValueError) as error:
-        raise IdentifyError(f"--free {name}: {error}; give a numeric parameter of [machine]") from None
+    except MachineError as error:
+        raise IdentifyError(f"--free: {error}") from None
+    except (TypeError, ValueError):
+        raise IdentifyError(f"--free {name}: is not a number here; free a numeric key of [machine]") from None
     value = stated[0]
     if max(stated) - min(stated) > 1e-9 * max(abs(value), 1e-9):
         raise IdentifyError(
