@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from ...sensors.manifest import Machine
 from ...sensors.streams import Warn
 from ..wheels import WheelMotion, choose_steer_input
 from . import output
@@ -56,17 +57,19 @@ def assemble(
 ) -> Motion:
     """The pass's `Motion` from the last filter and smoother."""
     task, filtered, smooth, jumps = settled.task, settled.filtered, settled.smooth, settled.jumps
+    crab = constant_crab(known.log.manifest.machine, levels)
     lag = float(smooth.x[-1, s.LAG])
     t = output.utc_grid(known.t, lag)
     p = task.parameters
     tilt2 = (known.nodes[:, s.N_ROLL2], known.nodes[:, s.N_PITCH2])
     at = output.at_utc(known.t, t, lag, smooth.x, smooth.P, tilt2)
     lateral1, lateral2 = (np.interp(t + lag, known.t, a) for a in lateral_accelerations(known, smooth.x))
-    tractor = output.tractor_motion(at, p, CRAB * levels.beta1, lateral1)
-    seeder = output.seeder_motion(at, p, CRAB * levels.beta2, lateral2) if known.two is not None else None
+    tractor = output.tractor_motion(at, p, crab[0], lateral1)
+    seeder = output.seeder_motion(at, p, crab[1], lateral2) if known.two is not None else None
     draw_t = settled.draw_t - lag
     every = output.at_utc(known.t, draw_t, lag, smooth.x, smooth.P, tilt2)
-    draws = output.body_draws(settled.errors, every, p, known.two is not None)
+    rng = np.random.default_rng(options.seed + 1)
+    draws = output.body_draws(settled.errors, every, p, known.two is not None, crab, rng)
     given = choose_steer_input(known.log, t + lag, wheels)
     steer, sd_steer = best_steering(
         t, tractor, given, known.log.manifest.machine.tractor.front_axle, levels.beta1
@@ -81,6 +84,28 @@ def assemble(
         innovations=innovations(task.measurements, filtered, known.t - lag),
         warnings=warnings_of(known, gnss_t, t, consistency, jumps, wheels) + steering_warnings(given, steer),
     )  # fmt: skip
+
+
+def constant_crab(machine: Machine, levels: Levels) -> tuple[float, float]:
+    """Standard deviations (rad) of a crab angle that stays all along a row, of the tractor and of the seeder.
+
+    No sensor on a machine that crabs can see it. A share of the slip angles' own deviation, and as much as the
+    manifest's draft, where it pulls aside, would make by the stated tyres: draft is known to no better.
+    """
+    crab = CRAB * np.array([levels.beta1, levels.beta2])
+    if machine.seeder is not None and machine.tyres.seeder is not None:
+        tractor, seeder = machine.tractor, machine.seeder
+        aside = seeder.draft * abs(math.sin(math.radians(seeder.draft_angle_deg)))
+        axle = seeder.hitch_to_com + float(np.mean(seeder.axles))
+        at_axle = aside * seeder.hitch_to_com / axle
+        lever = (tractor.front_axle + tractor.hitch) / (tractor.front_axle + tractor.rear_axle)
+        at_rear = abs(aside - at_axle) * lever
+        stiffness = np.array(
+            [machine.tyres.rear.cornering_stiffness, machine.tyres.seeder.cornering_stiffness]
+        )
+        wheels = np.array([2.0, 2.0 * len(seeder.axles)])
+        crab = np.hypot(crab, np.array([at_rear, at_axle]) / (wheels * stiffness))
+    return float(crab[0]), float(crab[1])
 
 
 def lateral_accelerations(known: Known, x: Floats) -> tuple[Floats, Floats]:

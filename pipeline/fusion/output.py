@@ -105,12 +105,23 @@ def seeder_jacobian(m: Smooth, p: Floats) -> Floats:
     return J
 
 
-def _covariance(J: Floats, P: Floats, rate_variance: float, crab: float, lever: float) -> Floats:
-    """J·P·Jᵀ with what the state does not hold: the rates' own noise, constant crab (yaw), lever arms."""
+def tractor_crab(m: Smooth) -> Floats:
+    """d(x1, y1, yaw1) by a constant error of the tractor's yaw, (N, 3): the antenna stands over the CoM."""
+    return np.tile([0.0, 0.0, 1.0], (m.x.shape[0], 1))
+
+
+def seeder_crab(m: Smooth, p: Floats) -> Floats:
+    """d(x2, y2, yaw2) by a constant error of the seeder's yaw, (N, 3): its CoM swings about the hitch."""
+    yaw = m.x[:, s.YAW2]
+    return np.column_stack([p[s.P_COM2] * np.sin(yaw), -p[s.P_COM2] * np.cos(yaw), np.ones(yaw.size)])
+
+
+def _covariance(J: Floats, P: Floats, rate_variance: float, crab: Floats, lever: float) -> Floats:
+    """J·P·Jᵀ with what the state does not hold: the rates' own noise, constant crab (N, 3), lever arms."""
     C = np.einsum("nik,nkl,njl->nij", J, P, J, optimize=True)
     C[:, 0, 0] += lever**2
     C[:, 1, 1] += lever**2
-    C[:, 2, 2] += crab**2
+    C[:, :3, :3] += crab[:, :, None] * crab[:, None, :]
     C[:, 4, 4] += rate_variance
     C[:, 5, 5] += rate_variance
     return np.asarray(0.5 * (C + C.transpose(0, 2, 1)))
@@ -127,7 +138,9 @@ def tractor_motion(m: Smooth, p: Floats, crab: float, lateral: Floats | None) ->
     c, sn = np.cos(x[:, s.YAW1]), np.sin(x[:, s.YAW1])
     forward = p[s.P_REAR] + p[s.P_SWAY] * np.sin(x[:, s.PITCH]) * np.cos(x[:, s.ROLL])
     left = -p[s.P_SWAY] * np.sin(x[:, s.ROLL])
-    C = _covariance(tractor_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO1]), crab, physics.LEVER_SD)
+    C = _covariance(
+        tractor_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO1]), crab * tractor_crab(m), physics.LEVER_SD
+    )
     return BodyMotion(
         x=x[:, s.X] + forward * c - left * sn,
         y=x[:, s.Y] + forward * sn + left * c,
@@ -151,7 +164,9 @@ def seeder_motion(m: Smooth, p: Floats, crab: float, lateral: Floats | None) -> 
     left = -p[s.P_SWAY2] * np.sin(m.roll2)
     bend = x[:, s.YAW1] - x[:, s.YAW2]
     across = slip_velocity(m) - p[s.P_HITCH] * m.rate1
-    C = _covariance(seeder_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO2]), crab, physics.LEVER_SD)
+    C = _covariance(
+        seeder_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO2]), crab * seeder_crab(m, p), physics.LEVER_SD
+    )
     return BodyMotion(
         x=x[:, s.X] - p[s.P_HITCH] * c1 + forward * c2 - left * s2,
         y=x[:, s.Y] - p[s.P_HITCH] * s1 + forward * s2 + left * c2,
@@ -166,13 +181,18 @@ def seeder_motion(m: Smooth, p: Floats, crab: float, lateral: Floats | None) -> 
     )
 
 
-def body_draws(error: Floats, at: Smooth, p: Floats, seeder: bool) -> Floats:
+def body_draws(
+    error: Floats, at: Smooth, p: Floats, seeder: bool, crab: tuple[float, float], rng: np.random.Generator
+) -> Floats:
     """Draws of the error of (x1, y1, yaw1, x2, y2, yaw2), (K, M, 6 or 3), from draws of the KEPT state (M, kept, K).
 
-    at : the smoothed state at the draws' instants
+    at : the smoothed state at the draws' instants; crab : standard deviations of constant crab, one value a draw
     """
     one = np.einsum("nik,nkd->dni", tractor_jacobian(at, p)[:, :3], error, optimize=True)
+    count = error.shape[2]
+    one += crab[0] * rng.standard_normal((count, 1, 1)) * tractor_crab(at)
     if not seeder:
         return np.ascontiguousarray(one)
     two = np.einsum("nik,nkd->dni", seeder_jacobian(at, p)[:, :3], error, optimize=True)
+    two += crab[1] * rng.standard_normal((count, 1, 1)) * seeder_crab(at, p)
     return np.ascontiguousarray(np.concatenate([one, two], axis=2))

@@ -294,6 +294,17 @@ def test_the_receivers_latency_is_found_from_the_motion(latency: float) -> None:
     assert rms(errors(motion, of)["yaw1"][0]) < 0.08 * DEG
 
 
+def test_a_draft_that_pulls_aside_is_a_doubt_of_the_seeders_yaw(short: tuple[Sample, Motion]) -> None:
+    machine = {**SHORT.machine, "seeder": {**SHORT.machine["seeder"], "draft_angle_deg": 15.0}}
+    of = make(replace(SHORT, machine=machine), 7)
+    motion = fuse(of.log)
+    error, sd = errors(motion, of)["yaw2"]
+    assert rms(error) > 0.4 * DEG  # it does crab
+    assert rms(error / sd) < 2.0
+    spread = motion.draws[:, :, 5].std()
+    assert spread == pytest.approx(float(np.median(sd)), rel=0.4)
+
+
 @pytest.mark.full
 def test_stated_deviations_cover_the_error_over_a_hundred_twins() -> None:
     """Coverage of 1.96 standard deviations, pooled over seeds with fields, headings and faults that vary."""
