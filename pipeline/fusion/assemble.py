@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -74,6 +74,7 @@ def assemble(
     steer, sd_steer = best_steering(
         t, tractor, given, known.log.manifest.machine.tractor.front_axle, levels.beta1
     )
+    given, told = with_honest_zero(given, steer)
     consistency = assess(task.measurements, filtered)
     gnss_t = accepted_times(task, filtered)
     return Motion(
@@ -82,7 +83,7 @@ def assemble(
         consistent=all(c.consistent for c in consistency), noise=noise_table(known, levels, free, p),
         calibration=calibration(smooth.x[-1], filtered.P[-1], int(p[s.P_ACTIVE]), known, wheels),
         innovations=innovations(task.measurements, filtered, known.t - lag),
-        warnings=warnings_of(known, gnss_t, t, consistency, jumps, wheels) + steering_warnings(given, steer),
+        warnings=warnings_of(known, gnss_t, t, consistency, jumps, wheels) + told,
     )  # fmt: skip
 
 
@@ -188,20 +189,21 @@ def noise_table(known: Known, levels: Levels, free: tuple[str, ...], p: Floats) 
     return table
 
 
-def steering_warnings(given: SteerInput | None, steer: Floats) -> tuple[Warn, ...]:
-    """Whether the steering sensor's zero lies beyond its stated doubt: steer (N,), rad, is the best estimate.
+def with_honest_zero(given: SteerInput | None, steer: Floats) -> tuple[SteerInput | None, tuple[Warn, ...]]:
+    """The replay's steering, its zero's doubt widened where a sensor's zero lies beyond what is stated, and a warning.
 
-    Such a replay is turned by a wrong input, and its verdict speaks of the sensor and not of the model.
+    steer : (N,) best estimate, rad. The angle itself is left alone, so the body's path never steers the replay;
+    a model is then not condemned for a sensor's zero.
     """
     both = np.isfinite(given.angle) & np.isfinite(steer) if given is not None else np.zeros(0, dtype=np.bool_)
     if given is None or given.source != "sensor" or not both.any():
-        return ()
+        return given, ()
     zero = float(np.median((given.angle - steer)[both]))
     if abs(zero) <= ZERO_FAR * given.zero_sd:
-        return ()
-    doubt = math.degrees(given.zero_sd)
-    told = f"the sensor's zero is {math.degrees(zero):.1f}° off, its stated doubt is {doubt:.1f}°"
-    return (Warn(told, "the replay is driven by it: mend steer.csv or state zero_sd_deg", "steer"),)
+        return given, ()
+    told = f"the sensor's zero is {math.degrees(zero):.1f}° off, its stated doubt is {math.degrees(given.zero_sd):.1f}°"
+    warn = Warn(told, "its doubt is taken as that large: mend steer.csv or state zero_sd_deg", "steer")
+    return replace(given, zero_sd=abs(zero)), (warn,)
 
 
 def warnings_of(

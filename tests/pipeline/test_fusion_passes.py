@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fusion_samples import Sample, changed, errors, make, rms, sample
-from smts_validate.pipeline.fusion.assemble import steering_warnings
+from smts_validate.pipeline.fusion.assemble import with_honest_zero
 from smts_validate.pipeline.fusion.fuse import fuse
 from smts_validate.pipeline.fusion.known import FusionError
 from smts_validate.pipeline.fusion.motion import Motion, SteerInput
@@ -341,10 +341,14 @@ def test_an_altitude_of_zero_in_a_high_field_is_no_slope() -> None:
     assert math.sqrt(covariance[0, 0]) < 0.005
 
 
-def test_a_steering_sensor_whose_zero_is_far_off_is_told_of() -> None:
+def test_a_steering_sensor_whose_zero_is_far_off_is_told_of_and_doubted_that_much() -> None:
     true = 0.01 * np.sin(np.arange(500) / 50.0)
     honest = SteerInput(true + math.radians(0.5), np.full(500, 0.002), 0.0, math.radians(0.3), 0.01, "sensor")
     bent = replace(honest, angle=true + math.radians(2.0))
-    assert steering_warnings(honest, true) == ()
-    assert "2.0° off" in steering_warnings(bent, true)[0].what
-    assert steering_warnings(None, true) == ()
+    assert with_honest_zero(honest, true) == (honest, ())
+    doubted, (warn,) = with_honest_zero(bent, true)
+    assert "2.0° off" in warn.what
+    assert doubted is not None
+    assert doubted.zero_sd == pytest.approx(math.radians(2.0), rel=1e-6)
+    np.testing.assert_array_equal(doubted.angle, bent.angle)
+    assert with_honest_zero(None, true) == (None, ())
