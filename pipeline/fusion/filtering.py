@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from .kernels import GATE_1, GATE_2, PATTERN, predict, process_noise, transition
 from .state import EX, EY, FX, FY, HITCH, KEPT, P_ACTIVE, PAIRED, SIZE, STILL_AX, STILL_V
 
+# Sums of products may be taken in any order here: vectors of the processor do it in fours.
+SUMS = {"reassoc", "contract"}
 KEEP = np.array(KEPT, dtype=np.int64)
 PAIRS = np.array(PAIRED, dtype=np.int64)
 
@@ -64,7 +66,7 @@ def carry(F: Floats, x: Floats, point: Floats, there: Floats) -> None:
         there[i] += F[i, m] * (x[m] - point[m])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
 def gain(P: Floats, H: Floats, var: float, K: Floats, n: int) -> float:
     """Innovation variance S = H·P·Hᵀ + var and gain K = P·Hᵀ/S of a scalar measurement."""
     K[:] = 0.0
@@ -101,7 +103,7 @@ def expected(kind: int, x: Floats, point: Floats, node: Floats, ahead: float, p:
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
 def shared(P: Floats, H: Floats, a: int, b: int) -> float:
     """Row a of H times P times row b."""
     total = 0.0
@@ -276,7 +278,7 @@ def forward(
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
 def absorb(lam: Floats, Lam: Floats, H: Floats, K: Floats, S: float, nu: float, n: int) -> None:
     """Adjoint state and covariance back through one scalar update: (I − KH)ᵀ on both sides, plus HᵀH/S."""
     LK = np.zeros(SIZE)
@@ -331,7 +333,7 @@ def retreat(lam: Floats, Lam: Floats, F: Floats, A: Floats, B: Floats, n: int) -
     times_adjoint(F, B, Lam, n)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
 def kept_covariance(P: Floats, Lam: Floats, out: Floats, n: int) -> None:
     """Rows and columns KEEP of P − P·Lambda·P."""
     k = KEEP.size
