@@ -588,16 +588,6 @@ def test_the_effective_number_of_samples_is_bartlett_s_for_an_ar1(case: dict[str
     assert 20_000 / np.mean(counts) == pytest.approx(case["ratio_variance"], rel=0.1)
 
 
-@pytest.mark.slow
-def test_a_pass_of_sixty_seconds_is_compared_in_under_two_seconds_once_compiled() -> None:
-    import time
-
-    compare(motion(), machine(), manifest_of())
-    start = time.process_time()
-    compare(motion(1), machine(), manifest_of())
-    assert time.process_time() - start < 2.0
-
-
 def test_the_printed_interval_holds_its_own_figure() -> None:
     for seed in range(3):
         found = compared(seed)
