@@ -79,13 +79,13 @@ def prepare(log: FieldLog, wheels: Mapping[str, WheelMotion]) -> Known:
     point = np.array([-machine.tractor.rear_axle, 0.0, -problem.sway(machine.tractor)])
     speed = initial.ground_speed(t, epochs[0])
     spin = _mean_spin(t, wheels)
-    rough, _ = body_inputs(log, "tractor", point, t, np.zeros(t.size, dtype=bool))
+    rough = body_inputs(log, "tractor", point, t, np.zeros(t.size, dtype=bool))
     still = standing(rough.node_rate, speed, spin)
-    one, _ = body_inputs(log, "tractor", point, t, still)
+    one = body_inputs(log, "tractor", point, t, still)
     two = None
     if machine.seeder is not None:
         axle = np.array([-float(np.mean(machine.seeder.axles)), 0.0, 0.0])
-        two, _ = body_inputs(log, "seeder", axle, t, still)
+        two = body_inputs(log, "seeder", axle, t, still)
     forwards = np.where(spin < 0.0, -1.0, 1.0) if spin is not None else np.ones(t.size)
     wheel = wheel_speed(t, wheels, log, one)
     return _aligned(Known(log, origin, t, one, two, epochs, still, wheel, speed, forwards), forwards)

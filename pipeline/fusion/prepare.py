@@ -13,7 +13,7 @@ from scipy.signal import butter, filtfilt, savgol_filter, welch
 
 from ...sensors.manifest import GRAVITY, Imd
 from ...sensors.mounting import to_body
-from ...sensors.streams import FieldLog, ImuStream, Warn
+from ...sensors.streams import FieldLog, ImuStream
 
 Floats = NDArray[np.float64]
 
@@ -146,9 +146,7 @@ def unit_noise(
     return gyro, accel, "manifest" if manifest else "spectral floor in motion"
 
 
-def body_inputs(
-    log: FieldLog, body: str, point: Floats, t: Floats, still: NDArray[np.bool_]
-) -> tuple[BodyInputs, tuple[Warn, ...]]:
+def body_inputs(log: FieldLog, body: str, point: Floats, t: Floats, still: NDArray[np.bool_]) -> BodyInputs:
     """All units of one body as one, at `point` (body frame, from its CoM), weighted by their noise.
 
     Units differ by constant biases: each is first brought to the first unit's mean, so that a hole in one does
@@ -178,7 +176,7 @@ def body_inputs(
     force_node, _ = _mean(moved_node, force_weights, [_node_gap(u.gap) for u in units])
     gyro = 1.0 / math.sqrt(weights.sum())
     accel = 1.0 / math.sqrt(force_weights.sum())
-    return BodyInputs(rate_step, rate_node, force_step, force_node, gap, gyro, accel, noise), ()
+    return BodyInputs(rate_step, rate_node, force_step, force_node, gap, gyro, accel, noise)
 
 
 def _node_gap(gap: Floats) -> Floats:
