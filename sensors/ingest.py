@@ -15,9 +15,9 @@ from .checks import rows_of
 from .clocks import ClockError, HostToUtc, SampleTimes
 from .formats import FORMATS
 from .health import health_of, hint_warnings
-from .manifest import Manifest, Sensor
-from .raw import Floats, Ints, Raw, RawError, RawGnss, RawImu, RawSteer
-from .streams import FieldLog, GnssStream, ImuStream, SteerStream, Stream, Warn, WheelStream
+from .manifest import Machine, Manifest, Sensor, Speed
+from .raw import Floats, Ints, Raw, RawError, RawGnss, RawImu, RawSpeed, RawSteer
+from .streams import FieldLog, GnssStream, ImuStream, SpeedStream, SteerStream, Stream, Warn, WheelStream
 from .tables import read_head
 from .utc import steady_epochs, utc_map
 
@@ -82,7 +82,7 @@ def _assemble(
         if isinstance(raw, RawGnss):
             streams[name] = _gnss(name, raw, to_utc, base)
         else:
-            streams[name] = _stream(run.sensors[name].kind, name, raw, timed.pop(name), to_utc, base)
+            streams[name] = _stream(run, name, raw, timed.pop(name), to_utc, base)
     log = FieldLog(
         manifest=run,
         manifest_text=text,
@@ -136,11 +136,12 @@ def _host_times(
     return timed, warnings, facts
 
 
-def _sample_times(raw: RawImu | RawSteer, rate: float, base: int, file: str) -> SampleTimes:
+def _sample_times(raw: RawImu | RawSteer | RawSpeed, rate: float, base: int, file: str) -> SampleTimes:
     host = _seconds(raw.host_ns, base)
     try:
-        if isinstance(raw, RawSteer):
-            again = np.diff(raw.angle, prepend=np.nan) == 0.0
+        if isinstance(raw, RawSteer | RawSpeed):
+            values = raw.angle if isinstance(raw, RawSteer) else raw.speed
+            again = np.diff(values, prepend=np.nan) == 0.0
             return clocks.sample_times(host, None, None, rate, repeats=again)
         readings = np.hstack([raw.specific_force, raw.angular_velocity])
         again = (np.diff(readings, axis=0, prepend=np.nan) == 0.0).all(axis=1)
@@ -193,17 +194,26 @@ def _clock_facts(times: SampleTimes) -> dict[str, Any]:
     }
 
 
-def _stream(kind: str, name: str, raw: Raw, times: SampleTimes, to_utc: HostToUtc, base: int) -> Stream:
+def _stream(run: Manifest, name: str, raw: Raw, times: SampleTimes, to_utc: HostToUtc, base: int) -> Stream:
     epoch = base * 1.0e-9
     t = to_utc(times.t - clocks.IMU_LEAST_LATENCY) + epoch
     arrival = to_utc(times.host) + epoch
     at = times.index
     if isinstance(raw, RawSteer):
         return SteerStream(name, t, arrival, raw.angle[at])
+    if isinstance(raw, RawSpeed):
+        scale = _radius(run.machine, run.sensors[name]) if raw.turning else 1.0
+        return SpeedStream(name, t, arrival, raw.speed[at] * scale)
     assert isinstance(raw, RawImu)
-    made = WheelStream if kind == "wds" else ImuStream
+    made = WheelStream if run.sensors[name].kind == "wds" else ImuStream
     mag = None if raw.magnetic_field is None else raw.magnetic_field[at]
     return made(name, t, arrival, raw.specific_force[at], raw.angular_velocity[at], mag)
+
+
+def _radius(machine: Machine, sensor: Sensor) -> float:
+    """Rolling radius (m) of the wheel whose rotation a speed sensor tells; without a wheel a rear one's."""
+    front = isinstance(sensor, Speed) and sensor.wheel is not None and sensor.wheel.startswith("front")
+    return machine.tractor.front_wheel_radius if front else machine.tractor.rear_wheel_radius
 
 
 def _gnss(name: str, raw: RawGnss, to_utc: HostToUtc, base: int) -> GnssStream:

@@ -124,6 +124,12 @@ def take_velocity(group: Group) -> Values:
     return {"east": _numbers(group, f"{twist}.linear.x"), "north": _numbers(group, f"{twist}.linear.y")}
 
 
+def take_forward(group: Group) -> Values:
+    """nav_msgs/Odometry, or a twist in the vehicle's own frame: forward speed, m/s."""
+    twist = "twist" if "twist.linear.x" in group.layout.leaves else "twist.twist"
+    return {"forward": _numbers(group, f"{twist}.linear.x")}
+
+
 def take_joints(joints: Mapping[str, str]) -> Callable[[Group], Values]:
     """Positions of the joints named for each column, NaN where a message lacks one."""
 

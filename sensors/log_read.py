@@ -26,12 +26,13 @@ from .log_collect import (
     Values,
     collect,
     take_fix,
+    take_forward,
     take_imu,
     take_joints,
     take_mag,
     take_velocity,
 )
-from .log_streams import STEERING, checks_of, gnss_stream, imu_stream, in_order, steer_stream
+from .log_streams import STEERING, checks_of, gnss_stream, imu_stream, in_order, speed_stream, steer_stream
 from .log_topics import GNSS_EXTRAS, LIBRARY
 from .manifest import Manifest, ManifestError, parse
 from .mcap_records import McapError, one_line
@@ -48,6 +49,7 @@ from .streams import (
 
 MANIFEST_NAME = "run.toml"
 INGEST_NAME = "ingest.json"
+TWISTS = ("geometry_msgs/TwistStamped", "geometry_msgs/TwistWithCovarianceStamped")
 NEEDED = ("imd", "gps")  # kinds of sensors without which there is no pass
 
 
@@ -159,6 +161,8 @@ def _places(name: str, sensor: Any) -> dict[str, str]:
     if sensor.kind == "gps":
         fix = sensor.topic or f"/{name}/fix"
         return {"fix": fix, "vel": _beside(fix, "vel"), "quality": _beside(fix, "quality")}
+    if sensor.kind == "speed":
+        return {"speed": sensor.topic or f"/{name}/speed"}
     return {"steer": sensor.topic or f"/{name}"}
 
 
@@ -166,15 +170,19 @@ _TAKES: dict[str, tuple[tuple[str, ...], Callable[[Group], Values] | None]] = {
     "imu": (("sensor_msgs/Imu",), take_imu),
     "mag": (("sensor_msgs/MagneticField",), take_mag),
     "fix": (("sensor_msgs/NavSatFix",), take_fix),
-    "vel": (("geometry_msgs/TwistStamped", "geometry_msgs/TwistWithCovarianceStamped"), take_velocity),
+    "vel": (TWISTS, take_velocity),
+    "speed": ((*TWISTS, "nav_msgs/Odometry"), take_forward),
     "quality": (("sensor_msgs/JointState",), take_joints({name: name for name in GNSS_EXTRAS})),
     "steer": (("sensor_msgs/JointState",), None),  # of the joint that the manifest names
 }
 
 
 def _joint(sensor: Any) -> str:
-    """The joint that is the steering angle: `columns = { angle = "..." }` renames it."""
-    return str(sensor.columns.get("angle", "steering"))
+    """The joint that is the steering angle: `columns = { angle = "..." }` renames it in others' recordings.
+
+    Where the sensor names a `file`, its columns are the file's, and the log is ours.
+    """
+    return str(sensor.columns.get("angle", "steering")) if sensor.topic is not None else "steering"
 
 
 def _topics(manifest: Manifest) -> dict[Key, Topic]:
@@ -208,4 +216,6 @@ def _stream(
         return None
     if main == "imu":
         return imu_stream(WheelStream if sensor.kind == "wds" else ImuStream, name, parts)
-    return gnss_stream(name, parts, foreign) if main == "fix" else steer_stream(name, parts["steer"])
+    if main == "fix":
+        return gnss_stream(name, parts, foreign)
+    return speed_stream(name, parts[main]) if main == "speed" else steer_stream(name, parts[main])

@@ -16,7 +16,7 @@ from .checks import ACCEL_LIMIT, GYRO_LIMIT, frozen, rows_of
 from .log_collect import Values
 from .log_topics import GNSS_EXTRAS, UNKNOWN, from_ns
 from .mcap_records import Ints
-from .streams import Floats, GnssStream, ImuStream, SteerStream
+from .streams import Floats, GnssStream, ImuStream, SpeedStream, SteerStream
 
 Bools = NDArray[np.bool_]
 Check = tuple[str, Bools]  # what is wrong with the messages that do not pass
@@ -27,6 +27,7 @@ LIMITS = {
     "imu": {"specific_force": ACCEL_LIMIT, "angular_velocity": GYRO_LIMIT},
     "vel": {"east": 150.0, "north": 150.0},  # m/s
     "steer": {STEERING: np.pi / 2.0},
+    "speed": {"forward": 50.0},  # m/s
 }
 
 
@@ -110,6 +111,11 @@ def imu_stream(kind: type[ImuStream], name: str, parts: Mapping[str, Values]) ->
 def steer_stream(name: str, steer: Values) -> SteerStream:
     """The steering sensor's samples."""
     return SteerStream(name, from_ns(steer["stamp"]), from_ns(steer["log"]), steer[STEERING])
+
+
+def speed_stream(name: str, speed: Values) -> SpeedStream:
+    """The speed sensor's samples."""
+    return SpeedStream(name, from_ns(speed["stamp"]), from_ns(speed["log"]), speed["forward"])
 
 
 def gnss_stream(name: str, parts: Mapping[str, Values], foreign: bool) -> GnssStream:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from .cdr import Template, encode, make_template, message_type, stamp_columns
 from .mcap_records import Bytes, Ints
 from .ros_messages import definition
-from .streams import FieldLog, Floats, GnssStream, ImuStream, SteerStream
+from .streams import FieldLog, Floats, GnssStream, ImuStream, SpeedStream, SteerStream
 
 LIBRARY = "smts-validate"  # in the header of logs that we wrote
 GNSS_EXTRAS = ("quality", "hdop", "satellites", "speed", "course", "heading", "sd_east", "sd_north", "sd_up")
@@ -105,6 +105,8 @@ def channels_of(log: FieldLog) -> list[Channel]:
             found += imu_channels(name, stream)
         elif isinstance(stream, GnssStream):
             found += _gnss_channels(name, stream)
+        elif isinstance(stream, SpeedStream):
+            found.append(_speed_channel(name, stream))
         else:
             found.append(_steer_channel(name, stream))
     return found
@@ -113,7 +115,7 @@ def channels_of(log: FieldLog) -> list[Channel]:
 def _channel(
     topic: str,
     kind: str,
-    stream: ImuStream | GnssStream | SteerStream,
+    stream: ImuStream | GnssStream | SteerStream | SpeedStream,
     values: Mapping[str, Any],
     columns: Mapping[str, NDArray[Any]],
     rows: NDArray[np.bool_] | None = None,
@@ -187,6 +189,12 @@ def _fix(stream: GnssStream) -> dict[str, NDArray[Any]]:
         "position_covariance": covariance,
         "position_covariance_type": np.where(known, DIAGONAL_KNOWN, UNKNOWN),
     }
+
+
+def _speed_channel(name: str, stream: SpeedStream) -> Channel:
+    """Forward along the wheel's heading: in the frame of the sensor, not in ENU as a receiver's velocity."""
+    columns = {"twist.linear.x": stream.speed}
+    return _channel(f"/{name}/speed", "geometry_msgs/msg/TwistStamped", stream, {}, columns)
 
 
 def _steer_channel(name: str, stream: SteerStream) -> Channel:

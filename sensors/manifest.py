@@ -189,6 +189,7 @@ class Units(Table):
     gyro: Literal["rad/s", "deg/s"] = "rad/s"
     mag: Literal["uT", "T", "gauss"] = "T"
     angle: Literal["rad", "deg"] = "rad"
+    speed: Literal["m/s", "mm/s", "km/h", "mph", "rad/s", "rpm"] = "m/s"  # the last two: a wheel's rotation
     host_time: Literal["ns", "us", "ms", "s"] = "ns"
     device_time: Literal["ns", "us", "ms", "s"] = "us"
 
@@ -276,6 +277,22 @@ class Steer(Sensor):
     scale_sd: Positive = 0.01
 
 
+class Speed(Sensor):
+    """Speed by the rotation of wheels, as a CAN bus tells it, and how good it is.
+
+    wheel : whose hub's speed along the wheel's heading; None: of the middle of the rear axle (gearbox, ECU)
+    noise : m/s, of a value; scale_sd : 1, of the radius that was assumed and of the mean slip together
+    """
+
+    COLUMNS: ClassVar[tuple[str, ...]] = ("t_host_ns", "speed")
+
+    kind: Literal["speed"]
+    wheel: Wheel | None = None
+    rate: Positive
+    noise: Positive = 0.05
+    scale_sd: Positive = 0.10
+
+
 class Gps(Sensor):
     """A GNSS receiver; position of its antenna from the body's CoM, m."""
 
@@ -292,7 +309,7 @@ class Gps(Sensor):
     latency_sd: Positive = 0.05  # s
 
 
-AnySensor = Annotated[Imd | Wds | Steer | Gps, Field(discriminator="kind")]
+AnySensor = Annotated[Imd | Wds | Steer | Speed | Gps, Field(discriminator="kind")]
 
 
 class Manifest(Table):
@@ -319,9 +336,12 @@ class Manifest(Table):
 
     @model_validator(mode="after")
     def _own_sources(self) -> Manifest:
-        owners: dict[tuple[str | None, str | None], str] = {}
+        owners: dict[tuple[str | None, ...], str] = {}
         for name, sensor in self.sensors.items():
-            first = owners.setdefault((sensor.file, sensor.topic), name)
+            # a bus's export holds several signals: their columns must differ
+            signal = sensor.columns.get("angle" if sensor.kind == "steer" else "speed", sensor.kind)
+            part = signal if sensor.kind in ("steer", "speed") else None
+            first = owners.setdefault((sensor.file, sensor.topic, part), name)
             if first != name:
                 what = sensor.file or sensor.topic
                 raise ValueError(
@@ -364,6 +384,7 @@ _TABLES: dict[str, type[BaseModel]] = {
     "sensors.*.imd": Imd,
     "sensors.*.wds": Wds,
     "sensors.*.steer": Steer,
+    "sensors.*.speed": Speed,
     "sensors.*.gps": Gps,
     "sensors.*.*.units": Units,
 }

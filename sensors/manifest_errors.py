@@ -44,7 +44,7 @@ def _complaint(mistake: Mapping[str, Any], place: Sequence[str], tables: Tables)
     if mistake["type"] == "missing":
         return "this key is missing"
     if mistake["type"].startswith("union_tag"):
-        return 'needs kind = "imd", "wds", "steer" or "gps"'
+        return 'needs kind = "imd", "wds", "steer", "speed" or "gps"'
     value = mistake.get("input")
     shown = f" (it is {value!r})" if isinstance(value, int | float | str) else ""
     return str(mistake["msg"]).removeprefix("Value error, ") + shown

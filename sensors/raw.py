@@ -61,6 +61,17 @@ class RawSteer:
 
 
 @dataclass(frozen=True)
+class RawSpeed:
+    """Rows of a speed sensor: host_ns (N,), rows (N,), speed (N,) m/s, or rad/s of the wheel where it is `turning`."""
+
+    host_ns: Ints
+    rows: Ints
+    speed: Floats
+    turning: bool = False
+    warnings: tuple[Warn, ...] = ()
+
+
+@dataclass(frozen=True)
 class RawGnss:
     """Epochs of a receiver, in order of UTC.
 
@@ -83,4 +94,4 @@ class RawGnss:
     reasons: Mapping[str, int] = field(default_factory=dict)
 
 
-Raw = RawImu | RawSteer | RawGnss
+Raw = RawImu | RawSteer | RawSpeed | RawGnss

@@ -144,8 +144,26 @@ class SteerStream:
             _frozen(self, name, (n,), finite=True)
 
 
-Stream = ImuStream | WheelStream | GnssStream | SteerStream
-AnyStream = TypeVar("AnyStream", ImuStream, WheelStream, GnssStream, SteerStream)
+@dataclass(frozen=True)
+class SpeedStream:
+    """Speed by the rotation of wheels. t, t_arrival : (N,) s, UTC; speed : (N,) m/s, negative backwards.
+
+    Many vehicles tell no sign: a series that is never negative says nothing of the direction.
+    """
+
+    name: str
+    t: Floats
+    t_arrival: Floats
+    speed: Floats
+
+    def __post_init__(self) -> None:
+        n = _check_time(self)
+        for name in ("t", "t_arrival", "speed"):
+            _frozen(self, name, (n,), finite=True)
+
+
+Stream = ImuStream | WheelStream | GnssStream | SteerStream | SpeedStream
+AnyStream = TypeVar("AnyStream", ImuStream, WheelStream, GnssStream, SteerStream, SpeedStream)
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import gcsv, gnss_csv, imu_csv, nmea, rtklib_pos, sensor_logger, steer_csv, ubx
+from . import gcsv, gnss_csv, imu_csv, nmea, rtklib_pos, sensor_logger, speed_csv, steer_csv, ubx
 
 FORMATS: tuple[ModuleType, ...] = (
     gcsv,
     sensor_logger,
     imu_csv,
     steer_csv,
+    speed_csv,
     ubx,
     rtklib_pos,
     gnss_csv,

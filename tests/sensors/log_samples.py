@@ -16,6 +16,7 @@ from smts_validate.sensors.streams import (
     FieldLog,
     GnssStream,
     ImuStream,
+    SpeedStream,
     SteerStream,
     Stream,
     Warn,
@@ -79,6 +80,10 @@ rate = 10.0
 kind = "steer"
 file = "steer.csv"
 rate = 50.0
+[sensors.gearbox]
+kind = "speed"
+file = "speed.csv"
+rate = 20.0
 """
 
 START = 1_747_215_000.25  # s, UTC
@@ -111,6 +116,8 @@ def a_log(seed: int = 0, seconds: float = 20.0) -> FieldLog:
     streams["gps"] = GnssStream("gps", t, arrival, **values)
     t, arrival = _times(rng, seconds, 50.0)
     streams["steer"] = SteerStream("steer", t, arrival, rng.normal(0.0, 0.1, t.size))
+    t, arrival = _times(rng, seconds, 20.0)
+    streams["gearbox"] = SpeedStream("gearbox", t, arrival, rng.normal(2.0, 1.0, t.size))
     warnings = (Warn("3 samples lost", "left as gaps", "imd1", "imd1.csv", 17), Warn("odd", "nothing"))
     health = {"imd1": {"rate_hz": 100.0, "drift_ppm": None}, "clock": {"source": "gps"}}
     return FieldLog(manifest.parse(text), text, streams, warnings, health, "somewhere", "0" * 64)
@@ -187,6 +194,17 @@ def fix(t_ns: int, status: int, variance: Iterable[float] = (0.04, 0.09, 0.25), 
 def velocity(t_ns: int, east: float, north: float) -> Any:
     twist = STORE.types["geometry_msgs/msg/Twist"](vector((east, north, 0.0)), vector((0.0, 0.0, 0.0)))
     return STORE.types["geometry_msgs/msg/TwistStamped"](header(t_ns), twist)
+
+
+def odometry(t_ns: int, forward: float) -> Any:
+    """A nav_msgs/Odometry of another implementation: pose in `odom`, twist in the vehicle's own frame."""
+    kinds, zeros = STORE.types, np.zeros(36)
+    place = kinds["geometry_msgs/msg/Point"](7.0, 8.0, 9.0)
+    turn = kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    pose = kinds["geometry_msgs/msg/PoseWithCovariance"](kinds["geometry_msgs/msg/Pose"](place, turn), zeros)
+    twist = kinds["geometry_msgs/msg/Twist"](vector((forward, 0.5, 0.0)), vector((0.0, 0.0, 0.1)))
+    moving = kinds["geometry_msgs/msg/TwistWithCovariance"](twist, zeros)
+    return kinds["nav_msgs/msg/Odometry"](header(t_ns), "base_link", pose, moving)
 
 
 def joints(t_ns: int, names: list[str], positions: list[float]) -> Any:

@@ -11,7 +11,7 @@ import pytest
 from pyubx2 import GET, UBXMessage
 from smts_validate.sensors.formats import FORMATS, gcsv, gnss_csv, nmea, rtklib_pos, sensor_logger, ubx
 from smts_validate.sensors.gnss_values import utc_of_gps_time
-from smts_validate.sensors.manifest import Gps, Imd, Sensor, Steer, Units, Wds
+from smts_validate.sensors.manifest import Gps, Imd, Sensor, Speed, Steer, Units, Wds
 from smts_validate.sensors.raw import RawError, RawGnss, RawImu
 
 DATE = dt.date(2025, 5, 14)
@@ -20,6 +20,7 @@ GPS = Gps(kind="gps", file="gps", position=(0.0, 0.0, 2.0), rate=10.0)
 IMD = Imd(kind="imd", body="tractor", file="imd", position=(0.0, 0.0, 0.0), rate=100.0)
 WDS = Wds(kind="wds", wheel="front_left", file="wds", rate=100.0)
 STEER = Steer(kind="steer", file="steer", rate=50.0)
+SPEED = Speed(kind="speed", file="speed", rate=20.0)
 
 
 def chosen(sensor: Sensor, path: Path) -> object:
@@ -38,7 +39,7 @@ def chosen(sensor: Sensor, path: Path) -> object:
 def test_a_format_reads_or_refuses_by_name(form: object, content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "log.bin"
     path.write_bytes(content)
-    for sensor in (GPS, IMD, WDS, STEER):
+    for sensor in (GPS, IMD, WDS, STEER, SPEED):
         assert isinstance(form.reads(sensor, path, content), bool)  # type: ignore[attr-defined]
         with pytest.raises(RawError, match=r"log\.bin|Gyroscope\.csv|Gravity\.csv") as caught:
             form.read(path, sensor, "name", DATE)  # type: ignore[attr-defined]

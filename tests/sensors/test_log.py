@@ -91,6 +91,7 @@ def test_the_mcap_package_reads_it_with_its_checksums_topics_and_schemas(log: Fi
     assert schemas["/gps/fix"] == "sensor_msgs/msg/NavSatFix"
     assert schemas["/gps/vel"] == "geometry_msgs/msg/TwistStamped"
     assert schemas["/steer"] == "sensor_msgs/msg/JointState"
+    assert schemas["/gearbox/speed"] == "geometry_msgs/msg/TwistStamped"
     assert "/wds1/mag" not in schemas
     assert attached["run.toml"] == log.manifest_text
     assert told["smts.run"]["id"] == "sample-1"
@@ -139,6 +140,15 @@ def test_another_decoder_sees_fix_velocity_heading_and_steering(log: FieldLog, p
     joints = [message for _, message in decoded(path, "/steer")]
     assert {tuple(m.name) for m in joints} == {("steering",)}
     assert [m.position[0] for m in joints] == steer.angle.tolist()
+
+
+def test_another_decoder_sees_the_speed_of_the_wheels_along_x(log: FieldLog, path: Path) -> None:
+    stream: Any = log.streams["gearbox"]
+    twists = [message for _, message in decoded(path, "/gearbox/speed")]
+    assert [m.twist.linear.x for m in twists] == stream.speed.tolist()
+    assert {(m.header.frame_id, m.twist.linear.y, m.twist.angular.z) for m in twists} == {
+        ("gearbox", 0.0, 0.0)
+    }
 
 
 @given(st.floats(min_value=2.0**23, max_value=2.0**31, exclude_max=True))

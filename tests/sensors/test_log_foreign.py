@@ -19,6 +19,7 @@ from log_samples import (
     fix,
     imu,
     joints,
+    odometry,
     topic_manifest,
     velocity,
     write_foreign,
@@ -32,7 +33,7 @@ from smts_validate.sensors.log import LogError, read_log
 from smts_validate.sensors.mcap_messages import Batch, read_messages
 from smts_validate.sensors.mcap_scan import open_recording
 from smts_validate.sensors.mounting import to_body
-from smts_validate.sensors.streams import FieldLog
+from smts_validate.sensors.streams import FieldLog, GnssStream, SpeedStream
 
 HUSKY = REAL / "husky" / "husky_test1_mcap"
 JACKAL = REAL / "husky" / "jackal_test2_msgzstd"
@@ -216,6 +217,28 @@ def test_steering_is_the_joint_that_the_manifest_names(tmp_path: Path) -> None:
     np.testing.assert_allclose(steer.angle, 0.1 * np.arange(6))
 
 
+SPEED = """
+[sensors.odom]
+kind = "speed"
+topic = "{topic}"
+rate = 10.0
+"""
+
+
+@pytest.mark.parametrize("topic", ["/odom", "/speed"])
+def test_odometry_and_twists_of_others_are_read_as_the_wheels_speed(topic: str, tmp_path: Path) -> None:
+    topics = drive(6)
+    t_ns = [t for t, _ in topics["/fix"]]
+    topics["/odom"] = [(t, odometry(t - 5_000_000, 0.5 * i)) for i, t in enumerate(t_ns)]
+    topics["/speed"] = [(t, velocity(t - 5_000_000, 0.5 * i, 9.0)) for i, t in enumerate(t_ns)]
+    write_foreign(tmp_path / "a.mcap", topics)
+    given = topic_manifest(tmp_path, TOPIC_SENSORS + SPEED.format(topic=topic))
+    log = read_log(tmp_path / "a.mcap", given)
+    speed = log.of_type(SpeedStream)["odom"]
+    np.testing.assert_array_equal(speed.speed, 0.5 * np.arange(6))
+    np.testing.assert_allclose(speed.t_arrival - speed.t, 0.005, atol=1e-6)
+
+
 def test_a_topic_that_is_absent_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
     write_foreign(tmp_path / "a.mcap", drive(3))
     wrong = topic_manifest(tmp_path, TOPIC_SENSORS.replace("/imu/data", "/imu/dta"))
@@ -316,6 +339,19 @@ rate = 2.5
 @pytest.fixture(scope="module")
 def husky(tmp_path_factory: pytest.TempPathFactory) -> FieldLog:
     return read_log(HUSKY, topic_manifest(tmp_path_factory.mktemp("husky"), HUSKY_SENSORS))
+
+
+@needs_husky
+def test_the_huskys_odometry_is_a_speed_sensor_that_agrees_with_its_receiver(tmp_path: Path) -> None:
+    sensors = HUSKY_SENSORS + SPEED.format(topic="/husky_velocity_controller/odom")
+    log = read_log(HUSKY, topic_manifest(tmp_path, sensors))
+    speed, gps = log.of_type(SpeedStream)["odom"], log.of_type(GnssStream)["gps"]
+    assert speed.t.size == 3952  # as its metadata.yaml says
+    east = np.radians(gps.lon - gps.lon[0]) * 6.371e6 * np.cos(np.radians(gps.lat[0]))
+    north = np.radians(gps.lat - gps.lat[0]) * 6.371e6
+    way = np.hypot(np.diff(east[::5]), np.diff(north[::5])).sum()  # every other second: less of it is noise
+    rolled = np.trapezoid(np.abs(speed.speed), speed.t)
+    assert rolled == pytest.approx(way, rel=0.15)
 
 
 @needs_husky

@@ -93,7 +93,7 @@ def test_tandem_axles_need_a_track_each_or_one_for_all() -> None:
         ("mass = 5200.0", "mass = true", "must be a number (it is True)"),
         ("mass = 5200.0\n", "", "machine.tractor.mass: this key is missing"),
         ('wheel = "front_right"', 'wheel = "fr"', "sensors.wds1.wheel:"),
-        ('kind = "gps"', 'kind = "gsp"', 'needs kind = "imd", "wds", "steer" or "gps"'),
+        ('kind = "gps"', 'kind = "gsp"', 'needs kind = "imd", "wds", "steer", "speed" or "gps"'),
         ('file = "imd2.csv"', 'file = "imd1.csv"', "sensors.imd1 and sensors.imd2 both read 'imd1.csv'"),
         ('file = "imd2.csv"', "", "needs either `file` or `topic`"),
         ('body = "seeder"', 'body = "tractor"', 'at least one IMD with body = "seeder"'),
