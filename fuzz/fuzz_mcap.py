@@ -68,6 +68,10 @@ rate = 10.0
 kind = "steer"
 topic = "/s"
 rate = 10.0
+[sensors.o]
+kind = "speed"
+topic = "/o"
+rate = 10.0
 """
 GIVEN = (manifest.parse(MANIFEST), MANIFEST)
 
@@ -121,6 +125,7 @@ def _topics() -> list[tuple[str, str, list[bytes]]]:
     return [
         ("/i/imu", "sensor_msgs/msg/Imu", two("sensor_msgs/msg/Imu", {}, {})),
         ("/g/fix", "sensor_msgs/msg/NavSatFix", two("sensor_msgs/msg/NavSatFix", {}, {"latitude": 5.0})),
+        ("/o", "nav_msgs/msg/Odometry", two("nav_msgs/msg/Odometry", {}, {"child_frame_id": "base"})),
         ("/s", "sensor_msgs/msg/JointState", two("sensor_msgs/msg/JointState", names, {"name": []})),
     ]
 

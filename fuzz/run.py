@@ -16,7 +16,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 SCRIPTS = {"mcap": (str(HERE / "fuzz_mcap.py"),)}
-TARGETS = ("nmea", "csv", "manifest", "gnss", "mcap")
+TARGETS = ("nmea", "csv", "manifest", "gnss", "bus", "mcap")
 SECONDS_A_INPUT = 10
 MEGABYTES = 3000
 SLICE = 60  # s: atheris 3.0 never frees the results of compared arrays, so no process may run for long

@@ -13,12 +13,26 @@ import atheris
 with atheris.instrument_imports(include=["smts_validate"]):
     import numpy as np
     from smts_validate.sensors import manifest
-    from smts_validate.sensors.formats import FORMATS, imu_csv, nmea
-    from smts_validate.sensors.manifest import Gps, Imd, ManifestError
+    from smts_validate.sensors.formats import FORMATS, imu_csv, nmea, speed_csv, steer_csv
+    from smts_validate.sensors.manifest import Gps, Imd, ManifestError, Speed, Steer, Units
     from smts_validate.sensors.raw import RawError, RawGnss, RawImu
 
 DATE = dt.date(2025, 5, 14)
 IMD = Imd(kind="imd", body="tractor", file="x", position=(0.0, 0.0, 0.0), rate=100.0)
+STEERS = tuple(
+    Steer(kind="steer", file="x", rate=50.0, columns=columns, units=units)
+    for columns, units in (
+        ({}, Units()),
+        ({"t_host_ns": "Time", "angle": "Angle"}, Units(host_time="s", angle="deg")),
+    )
+)
+SPEEDS = tuple(
+    Speed(kind="speed", file="x", rate=20.0, columns=columns, units=units)
+    for columns, units in (
+        ({}, Units()),
+        ({"t_host_ns": "Time", "speed": "RL"}, Units(host_time="ms", speed="rpm")),
+    )
+)
 GPS = Gps(kind="gps", file="x", position=(0.0, 0.0, 0.0), rate=10.0)
 MEMORY = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
 SCRATCH = Path(tempfile.mkdtemp(prefix="fuzz-", dir=MEMORY))
@@ -84,6 +98,22 @@ def fuzz_gnss(data: bytes) -> None:
                     check_gnss(raw)
 
 
+def fuzz_bus(data: bytes) -> None:
+    """Steering and speed as a bus's export holds them, with standard columns and renamed ones."""
+    path = SCRATCH / "bus.csv"
+    path.write_bytes(data)
+    for form, sensors, least in ((steer_csv, STEERS, np.pi / 2), (speed_csv, SPEEDS, 150.0)):
+        for sensor in sensors:
+            try:
+                raw = form.read(path, sensor, "name", DATE)
+            except RawError as error:
+                one_line(error)
+            else:
+                values = raw.angle if form is steer_csv else raw.speed
+                assert (np.abs(values) <= least).all()
+                assert raw.host_ns.shape == raw.rows.shape == values.shape
+
+
 def fuzz_manifest(data: bytes) -> None:
     """run.toml."""
     try:
@@ -99,6 +129,7 @@ TARGETS = {
     "nmea": fuzz_nmea,
     "csv": fuzz_csv,
     "gnss": fuzz_gnss,
+    "bus": fuzz_bus,
     "manifest": fuzz_manifest,
 }
 
