@@ -285,26 +285,37 @@ def sweep(ranges: tuple[str, ...], out: Path, workers: int | None, as_json: bool
 
 @app.command()
 @click.argument("passes", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--free", multiple=True, required=True, metavar="NAME[=LOW:HIGH],...", help="What to estimate.")
 @click.option(
-    "--folds", type=click.Choice(["cell", "field", "direction", "pass"]), default="cell", show_default=True
-)
+    "--free", multiple=True, required=True, metavar="NAME[=LOW:HIGH],...",
+    help="What to estimate, like cornering_stiffness.front; `help` lists the names.",
+)  # fmt: skip
+@click.option("--bound", "bounds", multiple=True, metavar="NAME=LOW:HIGH", help="Repeatable; SI units.")
+@click.option("--prior", "priors", multiple=True, metavar="NAME=MEAN:SD", help="What is known before.")
+@click.option("--priors", "file", type=click.Path(path_type=Path), help="TOML of priors and bounds.")
+@click.option(
+    "--folds", type=click.Choice(["cell", "field", "direction", "pass"]), default="cell", show_default=True,
+    help="What is held out at a time; cell: a field and direction.",
+)  # fmt: skip
 @click.option("-o", "out", type=click.Path(path_type=Path), default="identified", show_default=True)
 @click.option("--require-adequate", is_flag=True, help="Exit with 3 when the held-out verdict is another.")
 @common
 def identify(
-    passes: tuple[Path, ...],
-    free: tuple[str, ...],
-    folds: str,
-    out: Path,
-    require_adequate: bool,
-    as_json: bool,
-) -> None:
+    passes: tuple[Path, ...], free: tuple[str, ...], bounds: tuple[str, ...], priors: tuple[str, ...],
+    file: Path | None, folds: str, out: Path, require_adequate: bool, as_json: bool,
+) -> None:  # fmt: skip
     """Estimate parameters from PASSES (logs, raw folders), judged on passes that were not used."""
     from . import console
-    from .identify import identify_to_folder
+    from .identify import identify_to_folder, names_of
+    from .identify_parameter import WrongUseError
+    from .identify_wishes import asked
 
-    document = identify_to_folder(passes, free, folds, out, progress)
+    if free == ("help",):
+        emit({"parameters": names_of(passes[0])}, as_json, console.parameter_names)
+        return
+    try:
+        document = identify_to_folder(passes, asked(free, bounds, priors, file), folds, out, progress)
+    except WrongUseError as error:
+        raise click.UsageError(str(error), click.get_current_context()) from None
     emit(document, as_json, console.identified)
     _leave_unless_adequate(require_adequate, document["verdict"]["value"])
 

@@ -144,8 +144,14 @@ def identified(document: Document) -> str:
     return "\n".join([*lines, f"all of it: {document['out']}/identify.json"])
 
 
+def parameter_names(document: Document) -> str:
+    """Every parameter of a machine that can be freed, with its short form and its stated value."""
+    rows = [list(entry.values()) for entry in document["parameters"]]
+    return table(["parameter", "short form", "stated, SI"], rows)
+
+
 def _interval(ends: Sequence[float | None]) -> str:
-    return " to ".join(_cell(end) for end in ends)
+    return " to ".join("open" if end is None else _cell(end) for end in ends)
 
 
 def planned(document: Document) -> str:

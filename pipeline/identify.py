@@ -21,16 +21,18 @@ from .findings import discrepancy_values, verdict_values
 from .fusion.fuse import fuse
 from .fusion.motion import Motion
 from .identify_fit import LEVEL, Fit, fit
-from .identify_problem import IdentifyError, Parameter, Stretch, changed, parameter_of, stretch_of
+from .identify_names import listed
+from .identify_parameter import IdentifyError, Parameter, WrongUseError, parameter_of
+from .identify_problem import Stretch, changed, stretch_of
 from .identify_profile import profile
 from .identify_report import write_report
+from .identify_wishes import Asked, Wish, wishes
 from .replay_settings import ReplaySettings
 from .result import dump_json
 from .run import machine_of
 from .source import read_source
 
 Say = Callable[[str], None]
-Bounds = tuple[float, float] | None
 
 CELL, FIELD, DIRECTION, PASS = "cell", "field", "direction", "pass"
 FOLDS = (CELL, FIELD, DIRECTION, PASS)
@@ -91,32 +93,26 @@ class Identification:
     held_out: Mapping[str, Comparison]
 
 
-def record(source: Path) -> Recording:
-    """Read and fuse one pass: a log or a raw pass's folder."""
-    log = read_source(source)
-    return Recording(log.manifest, fuse(log), machine_of(log))
-
-
 def identify(
     recordings: Sequence[Recording],
-    free: Mapping[str, Bounds],
+    free: Mapping[str, Wish],
     kind: str = CELL,
     settings: ReplaySettings = SETTINGS,
     say: Say = lambda message: None,
 ) -> Identification:
     """Estimate the free parameters and compare every pass before, after and held out.
 
-    free : bounds by dotted name (None: a tenth to ten times the stated value); a manifest's [uncertainty]
-        gives a parameter's prior
+    free : by dotted name; a parameter without a prior of its own has that of the manifests' [uncertainty]
     kind : what a fold is: cell of field and direction, field, direction, or pass
     Raises IdentifyError.
     """
     _require(recordings, free, kind)
-    parameters = tuple(_parameter(recordings, name, bounds) for name, bounds in free.items())
+    parameters = tuple(_parameter(recordings, name, wish) for name, wish in free.items())
     before = {}
     for r in recordings:
         say(f"comparing {r.run} as stated")
         before[r.run] = compare(r.motion, r.machine, r.manifest, settings)
+    _require_rows(before)
     stretches = [s for r in recordings for s in _stretches(r, before[r.run])]
     say("fitting all passes")
     found = fit(stretches, parameters, settings.seed)
@@ -135,23 +131,34 @@ def identify(
     )
 
 
-def _require(recordings: Sequence[Recording], free: Mapping[str, Bounds], kind: str) -> None:
+def _require(recordings: Sequence[Recording], free: Mapping[str, Wish], kind: str) -> None:
     runs = [r.run for r in recordings]
     twice = sorted({run for run in runs if runs.count(run) > 1})
     if twice:
         raise IdentifyError(f"{twice[0]}: two passes have this run.id; give each its own in run.toml")
     if not free:
-        raise IdentifyError(
-            "--free: names no parameter; give one or more, like tyres.front.cornering_stiffness"
-        )
+        raise WrongUseError("--free: names no parameter; give one or more, like cornering_stiffness.front")
     if kind not in FOLDS:
-        raise IdentifyError(f"--folds {kind}: is none of {', '.join(FOLDS)}")
+        raise WrongUseError(f"--folds {kind}: is none of {', '.join(FOLDS)}")
 
 
-def _parameter(recordings: Sequence[Recording], name: str, bounds: Bounds) -> Parameter:
-    """A free parameter; its prior is the smallest standard deviation that a manifest states for it."""
-    sds = [sd for r in recordings if (sd := r.manifest.uncertainty.get(name, 0.0)) > 0.0]
-    return parameter_of(name, [r.machine for r in recordings], bounds, min(sds, default=None))
+def _require_rows(compared: Mapping[str, Comparison]) -> None:
+    if any(c.rows for c in compared.values()):
+        return
+    left_out = [f"{run}: {why}" for run, c in compared.items() for why in _left_out(c)]
+    why = "; ".join(left_out) or "nothing was driven straight at the nominal speed of run.toml"
+    raise IdentifyError(f"no pass has a row that could be compared ({why})")
+
+
+def _left_out(comparison: Comparison) -> tuple[str, ...]:
+    return (*(e.reason for e in comparison.excluded), *(p.reason for p in comparison.passed_over))
+
+
+def _parameter(recordings: Sequence[Recording], name: str, wish: Wish) -> Parameter:
+    """A free parameter; unless asked otherwise its prior is the smallest sd that a manifest states for it."""
+    sds = [one for r in recordings if (one := r.manifest.uncertainty.get(name, 0.0)) > 0.0]
+    sd = min(sds, default=None) if wish.sd is None else wish.sd
+    return parameter_of(name, [r.machine for r in recordings], wish.bounds, sd, wish.mean)
 
 
 def _stretches(recording: Recording, comparison: Comparison) -> list[Stretch]:
@@ -244,18 +251,19 @@ def document_of(found: Identification, rules: Rules = Rules()) -> dict[str, Any]
 def _estimate(found: Identification, i: int) -> dict[str, Any]:
     one, p = found.fit, found.fit.parameters[i]
     z, sd = float(one.z[i]), float(one.sd[i])
-    value, reach = p.value(z), one.quantile * sd
+    value = p.value(z)
     return {
         "parameter": p.name,
         "stated": p.stated,
         "estimate": value,
         "standard_error": p.spread(z, sd),
         "standard_error_uncorrected": p.spread(z, float(one.bread[i, i]) ** 0.5),
-        "interval": [p.value(z - reach), p.value(z + reach)],
+        "interval": list(one.interval(i)),
         "profile_interval": list(found.profiles[p.name]),
         "level": LEVEL,
         "bounds": [p.low, p.high],
         "at_bound": bool(not p.low < value < p.high),
+        "prior_mean": None if p.prior_sd is None else p.value(p.centre),
         "prior_sd": p.prior_sd,
         "steering_noise_pull": p.value(float(one.optimum[i])) - value,
     }
@@ -275,26 +283,9 @@ def _pass_discrepancy(comparison: Comparison | None, rules: Rules) -> dict[str, 
     return discrepancy_values(judge_pass(comparison.statistics, rules).responses)
 
 
-def parse_free(texts: Sequence[str]) -> dict[str, Bounds]:
-    """Free parameters from the command line: names, or NAME=LOW:HIGH, separated by commas."""
-    found: dict[str, Bounds] = {}
-    for text in (part.strip() for entry in texts for part in entry.split(",")):
-        name, given, ends = text.partition("=")
-        if not text:
-            continue
-        if name in found:
-            raise IdentifyError(f"--free {name}: is named twice")
-        try:
-            low, high = (float(end) for end in ends.split(":")) if given else (0.0, 0.0)
-        except ValueError:
-            raise IdentifyError(f"--free {text}: bounds are written NAME=LOW:HIGH, in SI units") from None
-        found[name] = (low, high) if given else None
-    return found
-
-
 def identify_to_folder(
     sources: Sequence[Path],
-    free: Sequence[str],
+    wanted: Asked,
     kind: str,
     out: Path,
     say: Say = lambda message: None,
@@ -303,13 +294,28 @@ def identify_to_folder(
 
     Gives its document. Raises IdentifyError, and the stages' own errors.
     """
-    wanted = parse_free(free)
-    recordings = []
+    recordings, free = [], None
     for source in sources:
         say(f"reading and fusing {source}")
-        recordings.append(record(source))
-    document = document_of(identify(recordings, wanted, kind, say=say))
+        log = read_source(source)
+        machine = machine_of(log)
+        free = _checked(wanted, machine) if free is None else free
+        recordings.append(Recording(log.manifest, fuse(log), machine))
+    document = document_of(identify(recordings, free or {}, kind, say=say))
     out.mkdir(parents=True, exist_ok=True)
     (out / DOCUMENT).write_text(dump_json(document), encoding="utf-8")
     page = write_report(document, out, max(r.manifest.run.date for r in recordings))
     return {**document, "out": str(out), "report": str(page)}
+
+
+def _checked(wanted: Asked, machine: Machine) -> dict[str, Wish]:
+    """What is asked, by the first pass's machine: a wrong name or bound is told before any pass is fused."""
+    free = wishes(wanted, machine)
+    for name, wish in free.items():
+        parameter_of(name, [machine], wish.bounds, wish.sd, wish.mean)
+    return free
+
+
+def names_of(source: Path) -> tuple[dict[str, Any], ...]:
+    """Every parameter of a pass's machine that can be freed: name, short form, stated value."""
+    return listed(machine_of(read_source(source)))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +17,13 @@ from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from ..model.inputs import coloured_noise
+from .identify_parameter import IdentifyError, Parameter
 from .identify_problem import (
-    IdentifyError,
     Layout,
-    Parameter,
     Stretch,
     aligned,
     bounds_of,
+    in_parallel,
     inside,
     jacobian_of,
     layout_of,
@@ -96,6 +97,11 @@ class Fit:
         """Student's t of the two-sided interval."""
         return float(stdtrit(self.dof, 0.5 + 0.5 * LEVEL))
 
+    def interval(self, index: int) -> tuple[float | None, float | None]:
+        """Ends of one parameter's interval by its standard error, in its own unit; None beyond its bound."""
+        parameter, reach = self.parameters[index], self.quantile * float(self.sd[index])
+        return parameter.end(float(self.z[index]) - reach), parameter.end(float(self.z[index]) + reach)
+
 
 def fit(stretches: Sequence[Stretch], parameters: Sequence[Parameter], seed: int = 1) -> Fit:
     """Estimate the parameters that the passes can tell, holding the others at their stated values.
@@ -110,7 +116,10 @@ def fit(stretches: Sequence[Stretch], parameters: Sequence[Parameter], seed: int
     while free:
         optimum, weights = _solve(stretches, layout, free)
         slopes = jacobian_of(stretches, free, optimum)
-        found = worst(_information(slopes, weights), prior_information(free), free)
+        share = np.array([p.share(float(z)) for p, z in zip(free, optimum, strict=True)])
+        found = worst(
+            _information(slopes / share, weights), prior_information(free) / np.outer(share, share), free
+        )
         if found is None:
             return _finished(stretches, layout, free, held, optimum, weights, slopes, seed)
         held.append(found)
@@ -154,7 +163,7 @@ def _solve(stretches: Sequence[Stretch], layout: Layout, free: Sequence[Paramete
 def minimise(
     stretches: Sequence[Stretch], free: Sequence[Parameter], weights: Floats, start: Floats
 ) -> Floats:
-    """(P,) z that minimises Σ w·e² + Σ (z·scale/prior sd)², within the bounds."""
+    """(P,) z that minimises Σ w·e² + Σ ((z − prior mean)/prior sd)², within the bounds."""
     return searched(stretches, free, weights, start, {})[0]
 
 
@@ -167,9 +176,12 @@ def searched(
 ) -> tuple[Floats, float]:
     """What `minimise` finds with further parameters fixed at their values, and the least sum."""
     root, prior = np.sqrt(weights), np.sqrt(np.diag(prior_information(free)))
+    centre = prior_centre(free)
 
     def residual(z: Floats) -> Floats:
-        return np.concatenate((root * residual_of(stretches, {**fixed, **values_at(free, z)}), prior * z))
+        return np.concatenate(
+            (root * residual_of(stretches, {**fixed, **values_at(free, z)}), prior * (z - centre))
+        )
 
     def slopes(z: Floats) -> Floats:
         return np.vstack((root[:, None] * jacobian_of(stretches, free, z, fixed), np.diag(prior)))
@@ -185,8 +197,13 @@ def _information(slopes: Floats, weights: Floats) -> Floats:
 
 
 def prior_information(free: Sequence[Parameter]) -> Floats:
-    """(P, P) of the priors, centred on the stated values; zero for a parameter without one."""
-    return np.diag([0.0 if p.prior_sd is None else (p.scale / p.prior_sd) ** 2 for p in free])
+    """(P, P) of the priors on relative changes; zero for a parameter without one."""
+    return np.diag([p.information for p in free])
+
+
+def prior_centre(free: Sequence[Parameter]) -> Floats:
+    """(P,) the priors' means as relative changes; zero for a parameter without one."""
+    return np.array([p.centre for p in free])
 
 
 def worst(information: Floats, prior: Floats, free: Sequence[Parameter]) -> Held | None:
@@ -305,21 +322,24 @@ def steering_pull(
     the estimate would take, −A⁻¹·JᵀWe less that without the noise, is to first order the pull that is already there.
     Draws come in pairs of opposite sign, so that only what is even in the noise remains.
     """
-    total = np.zeros(z.size)
     if any(s.context.motion.steer_input is None for s in stretches):
-        return total
+        return np.zeros(z.size)
     generator = np.random.default_rng(seed)
-    first = 0
+    tasks = []
     for stretch in stretches:
-        base, base_slopes = _under(stretch, free, z, None)
+        noises = [steering_noise(stretch, generator) for _ in range(PAIRS)]
+        draws = [None, *(sign * noise for noise in noises for sign in (1.0, -1.0))]
+        tasks += [partial(_under, stretch, free, z, noise) for noise in draws]
+    found = iter(in_parallel(tasks))
+    total, first = np.zeros(z.size), 0
+    for _ in stretches:
+        base, base_slopes = next(found)
         weight = weights[first : first + base.size]
         first += base.size
-        still = base_slopes.T @ (weight * base)
-        for _ in range(PAIRS):
-            noise = steering_noise(stretch, generator)
-            for sign in (1.0, -1.0):
-                residual, slopes = _under(stretch, free, z, sign * noise)
-                total += (slopes.T @ (weight * residual) - still) / (2.0 * PAIRS)
+        total -= base_slopes.T @ (weight * base)
+        for _ in range(2 * PAIRS):
+            residual, slopes = next(found)
+            total += slopes.T @ (weight * residual) / (2.0 * PAIRS)
     return np.asarray(-bread @ total)
 
 

@@ -7,12 +7,12 @@ e = (I − J(JᵀS⁻¹J + P₀⁻¹)⁻¹JᵀS⁻¹)·r. So a parameter gets no
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,53 +21,16 @@ from ..model.machine import Machine, MachineError
 from . import grid as on_grid
 from .compare import RowComparison, effective_count
 from .grid import Part
+from .identify_parameter import IdentifyError, Parameter
 from .replay import Drive, Window, drive_of, initial_states, run_windows, window_prior
 from .window_fit import Context, coarse, trailed_run, weights_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Result = TypeVar("Result")
 
 STEP = 0.01  # of a parameter's scale, for central differences
-WIDEST = 10.0  # default bounds: a tenth of the stated value to ten times it
 INSIDE = 1e-3  # of the bounds' width: how far inside them a search begins
-
-
-class IdentifyError(ValueError):
-    """An identification that cannot be made: one line with what, where and how to mend it."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A free parameter by its dotted name: stated value, scale of its changes, bounds, and the standard
-    deviation of its prior (None: none), all in the parameter's own unit.
-
-    One that can only be positive is searched on a logarithmic scale, z = ln(value/stated): a stiffness acts by its
-    inverse, and an interval of it is skewed. Others by z = (value − stated)/scale.
-    """
-
-    name: str
-    stated: float
-    scale: float
-    low: float
-    high: float
-    prior_sd: float | None
-
-    @property
-    def logarithmic(self) -> bool:
-        """Whether the relative change is that of the logarithm."""
-        return self.stated > 0.0 and self.low > 0.0
-
-    def value(self, z: float) -> float:
-        """The parameter's value at a relative change z."""
-        return self.stated * math.exp(z) if self.logarithmic else self.stated + z * self.scale
-
-    def change(self, value: float) -> float:
-        """The relative change z that leads to a value."""
-        return math.log(value / self.stated) if self.logarithmic else (value - self.stated) / self.scale
-
-    def spread(self, z: float, sd: float) -> float:
-        """Standard deviation of the value for that of z, to first order."""
-        return sd * (self.value(z) if self.logarithmic else self.scale)
 
 
 @dataclass(frozen=True)
@@ -146,12 +109,25 @@ def layout_of(stretches: Sequence[Stretch]) -> Layout:
 
 
 def residual_of(stretches: Sequence[Stretch], values: Mapping[str, float]) -> Floats:
-    """(N,) aligned residuals of all windows with the named parameters set to `values`; masked points are 0.
+    """(N,) aligned residuals of all windows with the named parameters set to `values`; masked points are 0."""
+    return residuals_of(stretches, [values])[0]
 
-    The rows' runs share the cores: the compiled integration releases the interpreter's lock.
-    """
-    with ThreadPoolExecutor(os.cpu_count()) as executor:
-        return np.concatenate(list(executor.map(lambda s: aligned(s, values), stretches)))
+
+def residuals_of(stretches: Sequence[Stretch], many: Sequence[Mapping[str, float]]) -> list[Floats]:
+    """`residual_of` at each of many points: every row at every point is a task of its own, spread over the cores."""
+    found = in_parallel([partial(aligned, stretch, values) for values in many for stretch in stretches])
+    count = len(stretches)
+    return [np.concatenate(found[k * count : (k + 1) * count]) for k in range(len(many))]
+
+
+def in_parallel(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
+    """Results of the tasks, in their order, on a thread a core: the compiled integration, three quarters of a
+    replay's time, releases the interpreter's lock."""
+    workers = min(os.cpu_count() or 1, len(tasks))
+    if workers < 2:
+        return [task() for task in tasks]
+    with ThreadPoolExecutor(workers) as executor:
+        return list(executor.map(lambda task: task(), tasks))
 
 
 def aligned(
@@ -208,14 +184,14 @@ def jacobian_of(
     """(N, P) derivative of the aligned residuals with respect to the relative changes, by central
     differences (one-sided at a bound); fixed : values of further parameters."""
     low, high = bounds_of(parameters)
-    columns = []
+    sides, widths = [], []
     for i in range(len(parameters)):
         up, down = z.copy(), z.copy()
         up[i], down[i] = min(z[i] + STEP, high[i]), max(z[i] - STEP, low[i])
-        values = [{**(fixed or {}), **values_at(parameters, side)} for side in (up, down)]
-        sides = [residual_of(stretches, v) for v in values]
-        columns.append((sides[0] - sides[1]) / (up[i] - down[i]))
-    return np.column_stack(columns)
+        sides += [{**(fixed or {}), **values_at(parameters, side)} for side in (up, down)]
+        widths.append(up[i] - down[i])
+    found = residuals_of(stretches, sides)
+    return np.column_stack([(found[2 * i] - found[2 * i + 1]) / width for i, width in enumerate(widths)])
 
 
 def weights_by_response(residual: Floats, layout: Layout) -> Floats:
@@ -234,34 +210,3 @@ def weights_by_response(residual: Floats, layout: Layout) -> Floats:
         square = max(float(np.mean(residual[here] ** 2)), 1e-300)
         weights[here] = effective / (here.sum() * square)
     return weights
-
-
-def parameter_of(
-    name: str,
-    machines: Sequence[Machine],
-    bounds: tuple[float, float] | None,
-    prior_sd: float | None,
-) -> Parameter:
-    """A free parameter as the passes' machines state it.
-
-    Raises IdentifyError for an unknown one, one that the passes state differently, or one without a scale.
-    """
-    try:
-        stated = [machine.parameter(name) for machine in machines]
-    except MachineError as error:
-        raise IdentifyError(f"--free: {error}") from None
-    except (TypeError, ValueError):
-        raise IdentifyError(f"--free {name}: is not a number here; free a numeric key of [machine]") from None
-    value = stated[0]
-    if max(stated) - min(stated) > 1e-9 * max(abs(value), 1e-9):
-        raise IdentifyError(
-            f"--free {name}: the passes state {min(stated):g} and {max(stated):g}; identify one version at a time"
-        )
-    if bounds is None:
-        if value == 0.0:
-            raise IdentifyError(f"--free {name}: is stated as 0; give its bounds as {name}=LOW:HIGH")
-        bounds = (min(value / WIDEST, value * WIDEST), max(value / WIDEST, value * WIDEST))
-    if not bounds[0] < bounds[1]:
-        raise IdentifyError(f"--free {name}: {bounds[0]:g} is not below {bounds[1]:g}; write LOW:HIGH")
-    scale = abs(value) if value != 0.0 else bounds[1] - bounds[0]
-    return Parameter(name, value, scale, bounds[0], bounds[1], prior_sd or None)

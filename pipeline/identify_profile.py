@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from .identify_fit import Fit, prior_information, searched
+from .identify_fit import Fit, prior_centre, prior_information, searched
 from .identify_problem import bounds_of, residual_of, values_at
 
 Floats = NDArray[np.float64]
@@ -54,7 +54,8 @@ def _end(fit: Fit, index: int, bound: float) -> float | None:
 
 def _least(fit: Fit) -> float:
     residual = residual_of(fit.stretches, values_at(fit.parameters, fit.optimum))
-    prior = fit.optimum @ prior_information(fit.parameters) @ fit.optimum
+    away = fit.optimum - prior_centre(fit.parameters)
+    prior = away @ prior_information(fit.parameters) @ away
     return float(np.sum(fit.weights * residual**2) + prior)
 
 
@@ -62,7 +63,7 @@ def _fixed(fit: Fit, index: int, z: float) -> float:
     """The least sum of squares with one parameter fixed."""
     parameter = fit.parameters[index]
     rest = [p for k, p in enumerate(fit.parameters) if k != index]
-    prior = float(prior_information([parameter])[0, 0]) * z**2
+    prior = parameter.information * (z - parameter.centre) ** 2
     fixed = {parameter.name: parameter.value(z)}
     if not rest:
         return float(np.sum(fit.weights * residual_of(fit.stretches, fixed) ** 2) + prior)
