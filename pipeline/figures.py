@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from functools import lru_cache
+from pathlib import Path as FilePath
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
-from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.backend_bases import GraphicsContextBase, RendererBase
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.path import Path
+from matplotlib.text import Text
+from matplotlib.textpath import TextPath
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
+from matplotlib.transforms import Affine2D, Transform
 
 from . import figures_style as style
+from .figures_marks import CLOSE, CURVE, LINE, MOVE, Box, Drawing, Ink, Pen, Trace, Words
 from .report_blocks import Chart, Curve, Equation, Panel
 
 WIDTH_MM = 174.0
@@ -37,7 +42,7 @@ RC: dict[str, Any] = {
     "xtick.major.width": 0.6, "ytick.major.width": 0.6, "axes.spines.top": False, "axes.spines.right": False,
     "axes.grid": True, "grid.color": style.GRID, "grid.linewidth": 0.5, "axes.axisbelow": True,
     "lines.linewidth": 1.3, "legend.frameon": False, "legend.fontsize": 7.5, "svg.fonttype": "none",
-    "pdf.fonttype": 42, "axes.unicode_minus": True, "path.simplify": True, "figure.dpi": 100.0,
+    "pdf.fonttype": 42, "axes.unicode_minus": True, "path.simplify": True, "figure.dpi": 72.0,
 }  # fmt: skip
 
 
@@ -157,76 +162,136 @@ def _extent(values: Sequence[style.Floats]) -> float:
     return float(np.ptp(finite)) if finite.size else 0.0
 
 
-def svg(figure: Figure, key: str) -> str:
-    """A drawn figure as inline SVG for a page: text stays text, the colours are the page's own."""
-    with mpl.rc_context(_rc({"svg.hashsalt": key})):
-        buffer = io.StringIO()
-        canvas: Any = FigureCanvasSVG(figure)
-        canvas.print_svg(buffer, metadata={"Date": None, "Creator": None})
-    return _inline(buffer.getvalue(), key)
+def record(figure: Figure) -> Drawing:
+    """A figure as the marks that it is made of: laid out once, for the page and the PDF to write alike."""
+    recorder = _Recorder(float(figure.bbox.width), float(figure.bbox.height))
+    with mpl.rc_context(_rc()):
+        figure.draw(recorder)
+    return Drawing(recorder.width, recorder.height, tuple(recorder.marks))
 
 
-def _inline(text: str, key: str) -> str:
-    """Strip what only a file needs, and hand colours over to the page's variables."""
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
-    text = re.sub(r'<g id="[^"]*">', "<g>", text)
-    text = re.sub(r' width="[\d.]+pt"| height="[\d.]+pt"', "", text, count=2)
-    text = re.sub(r"<!--.*?-->|\n\s*", lambda found: "" if found[0][0] == "<" else " ", text, flags=re.S)
-    text = re.sub(r' d="([^"]*)"', _compact, text)
-    text = text.replace('style type="text/css">*{', f'style type="text/css">#{svg_id(key)} *{{')
-    for name, colour in page_colours().items():
-        text = text.replace(colour, f"var(--{name},{colour})")
-    return text.replace("<svg ", f'<svg id="{svg_id(key)}" aria-hidden="true" ', 1)
+class _Recorder(RendererBase):
+    """What matplotlib draws on, at 72 dots an inch, so that its pixels are points."""
+
+    def __init__(self, width: float, height: float) -> None:
+        super().__init__()
+        self.width, self.height = width, height
+        self.marks: list[Trace | Words] = []
+
+    def flipy(self) -> bool:
+        """Words are placed from below, as everything else is."""
+        return False
+
+    def get_canvas_width_height(self) -> tuple[float, float]:
+        """Size of the figure."""
+        return self.width, self.height
+
+    def draw_path(
+        self, gc: GraphicsContextBase, path: Path, transform: Transform, rgbFace: Any = None
+    ) -> None:
+        """Keep a path; a line without what could not be told from it at this size."""
+        pen, fill = _pen(gc), _ink(gc, rgbFace)
+        if pen is None and fill is None:
+            return
+        line = fill is None
+        clean = path.cleaned(
+            transform, remove_nans=True, clip=(0.0, 0.0, self.width, self.height) if line else None,
+            simplify=line and path.should_simplify, curves=True,
+        )  # fmt: skip
+        self.marks.append(_trace(clean, pen, fill, _clip(gc)))
+
+    def draw_markers(
+        self, gc: GraphicsContextBase, marker_path: Path, marker_trans: Transform, path: Path,
+        trans: Transform, rgbFace: Any = None,
+    ) -> None:  # fmt: skip
+        """Keep marks; round ones as dots, which are lines of no length with round ends."""
+        ink, codes = _ink(gc, rgbFace), marker_path.codes
+        if ink is None or codes is None or not np.equal(codes, Path.CURVE4).any():
+            super().draw_markers(gc, marker_path, marker_trans, path, trans, rgbFace)
+            return
+        at = trans.transform(path.vertices)
+        at = at[np.isfinite(at).all(axis=1)]
+        width = float(marker_path.get_extents(marker_trans).width) + gc.get_linewidth()
+        pen = Pen(ink, width, cap="round")
+        self.marks.append(Trace(np.repeat(at, 2, axis=0), (MOVE + LINE) * len(at), pen, clip=_clip(gc)))
+
+    def draw_text(
+        self, gc: GraphicsContextBase, x: float, y: float, s: str, prop: FontProperties, angle: float,
+        ismath: Any = False, mtext: Text | None = None,
+    ) -> None:  # fmt: skip
+        """Keep a line of words."""
+        size = float(prop.get_size_in_points())
+        width = float(self.get_text_width_height_descent(s, prop, ismath)[0])
+        anchor = ANCHORS[mtext.get_horizontalalignment()] if mtext is not None and not angle else 0.5
+        self.marks.append(Words(float(x), float(y), s, size, to_hex(gc.get_rgb()), angle, width, anchor))
 
 
-def _compact(path: re.Match[str]) -> str:
-    """A path of straight lines in relative tenths of a point: a third of the length, the same picture."""
-    text = path[1]
-    if re.search(r"[CQ]", text):
-        return path[0]
-    out, last = [], (0, 0)
-    for letter, x, y in re.findall(r"z|([ML]) (\S+) (\S+)", text):
-        if not letter:  # what follows a closed path is an absolute M, so the pen's place does not matter
-            out.append("z")
-            continue
-        at = round(10.0 * float(x)), round(10.0 * float(y))
-        step = at if letter == "M" else (at[0] - last[0], at[1] - last[1])
-        out.append(f"{letter if letter == 'M' else 'l'}{step[0] / 10:g} {step[1] / 10:g}")
-        last = at
-    return f' d="{"".join(out)}"'
+ANCHORS = {"left": 0.0, "center": 0.5, "right": 1.0}
+CAPS: dict[str, Any] = {"butt": "butt", "round": "round", "projecting": "square"}
 
 
-def svg_id(key: str) -> str:
-    """Id of a chart's SVG in a page."""
-    return f"svg-{key}"
+def _pen(gc: GraphicsContextBase) -> Pen | None:
+    ink = _ink(gc, gc.get_rgb())
+    if ink is None or not gc.get_linewidth() > 0.0:
+        return None
+    dash = tuple(float(length) for length in np.ravel(gc.get_dashes()[1] or ()))
+    return Pen(ink, float(gc.get_linewidth()), dash, CAPS[gc.get_capstyle()])
 
 
-def page_colours() -> dict[str, str]:
-    """Names of the page's colour variables, and the colour each stands for in a drawn figure."""
-    roles = {f"c-{role}": colour for role, colour in style.LIGHT.items()}
-    return roles | {"ink": style.INK, "muted": style.MUTED, "grid": style.GRID, "paper": "#ffffff"}
+def _ink(gc: GraphicsContextBase, colour: Any) -> Ink | None:
+    if colour is None:
+        return None
+    opacity = float(gc.get_alpha() if gc.get_forced_alpha() or len(colour) < 4 else colour[3])
+    return Ink(to_hex(colour), opacity) if opacity > 0.0 else None
 
 
-def pdf_pages(figures: Sequence[Figure]) -> bytes:
-    """The figures as one PDF, a page each, as vectors; the same bytes for the same figures."""
-    buffer = io.BytesIO()
-    with mpl.rc_context(_rc()), PdfPages(buffer, metadata={"CreationDate": None, "Creator": None}) as pages:
-        for figure in figures:
-            FigureCanvasPdf(figure)
-            pages.savefig(figure)
-    return buffer.getvalue()
+def _clip(gc: GraphicsContextBase) -> Box | None:
+    box = gc.get_clip_rectangle()
+    return None if box is None else (float(box.x0), float(box.y0), float(box.width), float(box.height))
 
 
-def draw_equation(equation: Equation) -> Figure:
-    """A displayed equation as a figure, by matplotlib's own mathematics."""
+LETTERS = bytes.maketrans(
+    bytes([Path.MOVETO, Path.LINETO, Path.CLOSEPOLY]), f"{MOVE}{LINE}{CLOSE}".encode("ascii")
+)
+
+
+def _trace(path: Path, pen: Pen | None, fill: Ink | None, clip: Box | None) -> Trace:
+    """A path without gaps as a trace."""
+    codes = np.asarray(path.codes, dtype=np.uint8)
+    if codes[codes != Path.CLOSEPOLY].max(initial=0) >= Path.CURVE3:
+        return _curved(path, pen, fill, clip)
+    codes = codes[codes != Path.STOP]
+    points = np.asarray(path.vertices, dtype=np.float64)[: codes.size][codes != Path.CLOSEPOLY]
+    return Trace(points, codes.tobytes().translate(LETTERS).decode("ascii"), pen, fill, clip)
+
+
+def _curved(path: Path, pen: Pen | None, fill: Ink | None, clip: Box | None) -> Trace:
+    """A path with curves as a trace; a quadratic curve is a cubic one with its control point shared out."""
+    points: list[style.Floats] = []
+    letters = ""
+    for flat, code in path.iter_segments(simplify=False, curves=True):
+        at = np.reshape(flat, (-1, 2))
+        if code == Path.CURVE3:
+            at = np.array([(points[-1] + 2.0 * at[0]) / 3.0, (at[1] + 2.0 * at[0]) / 3.0, at[1]])
+        letter = {Path.MOVETO: MOVE, Path.LINETO: LINE, Path.CLOSEPOLY: CLOSE}.get(code, CURVE)
+        points.extend(at if letter != CLOSE else ())
+        letters += letter
+    return Trace(np.array(points), letters, pen, fill, clip)
+
+
+@lru_cache(maxsize=64)
+def draw_equation(equation: Equation) -> Drawing:
+    """A displayed equation, by matplotlib's own mathematics, as outlines."""
+    width, height = WIDTH_MM * MM * 72.0, 14.0 * MM * 72.0
     with mpl.rc_context(_rc({"mathtext.fontset": "stix"})):
-        figure = Figure(figsize=(WIDTH_MM * MM, 14.0 * MM))
-        figure.text(0.04, 0.5, f"${equation.tex}$", fontsize=11.0, va="center")
-    return figure
+        outline = TextPath((0.0, 0.0), f"${equation.tex}$", size=11.0)
+    box = outline.get_extents()
+    place = Affine2D().translate(0.04 * width, 0.5 * (height - float(box.y0 + box.y1)))
+    fill = Ink(style.INK)
+    return Drawing(width, height, (_curved(outline.transformed(place), None, fill, None),))
 
 
-def write_files(charts: Sequence[Chart], folder: Path) -> list[Path]:
+def write_files(charts: Sequence[Chart], folder: FilePath) -> list[FilePath]:
     """Each chart as SVG, PDF and PNG (300 dpi) in `folder`; the files written."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []

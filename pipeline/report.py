@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from . import figures, report_html, report_pdf
+from .figures_svg import svg
 from .report_blocks import Equation, Section, Table, charts_of, tables_of
 from .report_head import Head
 from .report_pass import head_of
@@ -37,18 +38,12 @@ def write_report(view: PassView, folder: Path) -> None:
 
 def write_pages(head: Head, sections: Sequence[Section], folder: Path, date: dt.date) -> None:
     """Write report.html and report.pdf of a head and its sections; the figures are drawn once for both."""
-    charts = charts_of(sections)
-    drawn = {chart.key: figures.draw(chart) for chart in charts}
-    stills = {key: figures.svg(figure, key) for key, figure in drawn.items()}
+    drawn = {chart.key: figures.record(figures.draw(chart)) for chart in charts_of(sections)}
+    stills = {key: svg(drawing, key) for key, drawing in drawn.items()}
     (folder / HTML).write_text(report_html.render(head, sections, stills), encoding="utf-8")
     equations = [block for section in sections for block in section.blocks if isinstance(block, Equation)]
-    pages = {**drawn, **{equation.words: figures.draw_equation(equation) for equation in equations}}
-    pictures = {
-        key: report_pdf.Picture(number, figures.WIDTH_MM, 25.4 * float(figure.get_figheight()))
-        for number, (key, figure) in enumerate(pages.items())
-    }
-    vectors = figures.pdf_pages(list(pages.values()))
-    (folder / PDF).write_bytes(report_pdf.render(head, sections, pictures, vectors, date))
+    drawn |= {equation.words: figures.draw_equation(equation) for equation in equations}
+    (folder / PDF).write_bytes(report_pdf.render(head, sections, drawn, date))
 
 
 def write_figures(sections: Sequence[Section], folder: Path) -> list[Path]:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import datetime as dt
-import io
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from fpdf import FPDF
 from fpdf.enums import MethodReturnValue, XPos, YPos
 from fpdf.fonts import TTFFont
-from pypdf import PageObject, PdfReader, PdfWriter
-from pypdf.generic import ArrayObject, DictionaryObject, FloatObject, NameObject, StreamObject
 
 from . import figures_style as style
+from .figures_marks import Drawing
+from .figures_pdf import POINT, place
 from .report_blocks import Block, Chart, Equation, Missing, Section, Table, Text
 from .report_head import Head
 
@@ -28,26 +25,8 @@ MISSING_GLYPH = "□"
 MOST_LINES, CUT = 40, "… the rest stands in report.html"  # of one cell: a row fits on a page
 TABLE_START = 34.0  # mm that a table needs to begin on a page: caption, heading, a few rows
 TABLE_SIZES, LINE = (7.5, 7.0, 6.5, 6.0), 3.9  # pt, mm
-POINT = 25.4 / 72.0  # mm
 INK, MUTED, RULE, CARD = (29, 35, 41), (89, 99, 110), (200, 206, 213), (244, 245, 247)
 VERDICT_COLOURS = {"adequate": (11, 107, 58), "not adequate": (163, 32, 13), "inconclusive": (122, 77, 0)}
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A drawn figure that waits to be placed: its page in the figures' PDF, its size in mm."""
-
-    number: int
-    width: float
-    height: float
-
-
-@dataclass(frozen=True)
-class _Placed:
-    picture: Picture
-    page: int
-    x: float
-    y: float
 
 
 class _Sheet(FPDF):
@@ -56,7 +35,6 @@ class _Sheet(FPDF):
     def __init__(self, short: str) -> None:
         super().__init__("P", "mm", "A4")
         self.short = short
-        self.placed: list[_Placed] = []
         self.glyphs: frozenset[int] = frozenset()
 
     def normalize_text(self, text: str) -> str:
@@ -78,20 +56,17 @@ class _Sheet(FPDF):
         self.cell(30.0, 5.0, f"{self.page_no()} / {{nb}}", align="R")
 
 
-def render(
-    head: Head, sections: Sequence[Section], pictures: dict[str, Picture], figures: bytes, date: dt.date
-) -> bytes:
+def render(head: Head, sections: Sequence[Section], drawn: Mapping[str, Drawing], date: dt.date) -> bytes:
     """The PDF as bytes.
 
-    pictures : drawn figures by the key of their chart, or by the words of their equation
-    figures : the PDF whose pages they are
+    drawn : figures by the key of their chart, or by the words of their equation
     date : stands as the creation date, so that the same result gives the same bytes
     """
     sheet = _sheet(head, date)
     _first_page(sheet, head)
     for section in sections:
-        _section(sheet, section, pictures)
-    return _with_figures(bytes(sheet.output()), sheet.placed, figures)
+        _section(sheet, section, drawn)
+    return bytes(sheet.output())
 
 
 def _sheet(head: Head, date: dt.date) -> _Sheet:
@@ -192,22 +167,22 @@ def _numbers(sheet: _Sheet, head: Head) -> None:
     sheet.set_xy(MARGIN, bottom + 4.0)
 
 
-def _section(sheet: _Sheet, section: Section, pictures: dict[str, Picture]) -> None:
-    _room(sheet, 24.0 + _opening_height(section.blocks, pictures))
+def _section(sheet: _Sheet, section: Section, drawn: Mapping[str, Drawing]) -> None:
+    _room(sheet, 24.0 + _opening_height(section.blocks, drawn))
     sheet.ln(5.0)
     sheet.start_section(section.title)
     _write(sheet, section.title, 12.5, "B")
     sheet.ln(1.5)
     for block in section.blocks:
-        _block(sheet, block, pictures)
+        _block(sheet, block, drawn)
 
 
-def _opening_height(blocks: Sequence[Block], pictures: dict[str, Picture]) -> float:
+def _opening_height(blocks: Sequence[Block], drawn: Mapping[str, Drawing]) -> float:
     """Height of a section's first words with the figure that follows them: they are not torn apart."""
     words = 0.0
     for block in blocks[:3]:
         if isinstance(block, Chart):
-            return words + _figure_height(block, pictures)
+            return words + _figure_height(block, drawn)
         if isinstance(block, Table):
             return words + TABLE_START
         if not isinstance(block, Text | Missing):
@@ -216,8 +191,8 @@ def _opening_height(blocks: Sequence[Block], pictures: dict[str, Picture]) -> fl
     return 0.0
 
 
-def _figure_height(chart: Chart, pictures: dict[str, Picture]) -> float:
-    return pictures[chart.key].height + 16.0
+def _figure_height(chart: Chart, drawn: Mapping[str, Drawing]) -> float:
+    return POINT * drawn[chart.key].height + 16.0
 
 
 def _room(sheet: _Sheet, needed: float) -> None:
@@ -226,7 +201,7 @@ def _room(sheet: _Sheet, needed: float) -> None:
         sheet.add_page()
 
 
-def _block(sheet: _Sheet, block: Block, pictures: dict[str, Picture]) -> None:
+def _block(sheet: _Sheet, block: Block, drawn: Mapping[str, Drawing]) -> None:
     if isinstance(block, Text):
         _write(sheet, block.text)
         sheet.ln(1.5)
@@ -236,24 +211,25 @@ def _block(sheet: _Sheet, block: Block, pictures: dict[str, Picture]) -> None:
     elif isinstance(block, Table):
         _table(sheet, block)
     elif isinstance(block, Equation):
-        _place(sheet, pictures[block.words])
+        _place(sheet, drawn[block.words])
     else:
-        _chart(sheet, block, pictures)
+        _chart(sheet, block, drawn)
 
 
-def _chart(sheet: _Sheet, chart: Chart, pictures: dict[str, Picture]) -> None:
-    _room(sheet, _figure_height(chart, pictures))
+def _chart(sheet: _Sheet, chart: Chart, drawn: Mapping[str, Drawing]) -> None:
+    _room(sheet, _figure_height(chart, drawn))
     _write(sheet, chart.title, 9.5, "B")
     sheet.ln(0.5)
-    _place(sheet, pictures[chart.key])
+    _place(sheet, drawn[chart.key])
     _write(sheet, chart.caption + style.thin(chart, style.STILL_POINTS).note, 8.0, colour=MUTED)
     sheet.ln(4.0)
 
 
-def _place(sheet: _Sheet, picture: Picture) -> None:
-    _room(sheet, picture.height)
-    sheet.placed.append(_Placed(picture, sheet.page_no(), MARGIN, sheet.get_y()))
-    sheet.set_y(sheet.get_y() + picture.height + 1.0)
+def _place(sheet: _Sheet, drawing: Drawing) -> None:
+    height = POINT * drawing.height
+    _room(sheet, height)
+    place(sheet, drawing, MARGIN, sheet.get_y(), "Sans")
+    sheet.set_y(sheet.get_y() + height + 1.0)
 
 
 def _table(sheet: _Sheet, table: Table) -> None:
@@ -339,41 +315,3 @@ def _fair_share(wanted: Sequence[float], room: float) -> float:
 
 def _text_width(sheet: _Sheet, text: str) -> float:
     return max((float(sheet.get_string_width(line)) for line in text.splitlines()), default=0.0)
-
-
-def _with_figures(document: bytes, placed: Sequence[_Placed], figures: bytes) -> bytes:
-    """The document with each figure drawn at its place, as a form: its content is carried over unread."""
-    writer = PdfWriter(clone_from=io.BytesIO(document))
-    sources = PdfReader(io.BytesIO(figures)).pages if placed else []
-    for index, item in enumerate(placed):
-        _stamp(writer, writer.pages[item.page - 1], sources[item.picture.number], item, f"/Figure{index}")
-    buffer = io.BytesIO()
-    writer.write(buffer)
-    return buffer.getvalue()
-
-
-def _inside(page: PageObject, name: str) -> Any:
-    """A page's entry, whatever kind of object it is."""
-    return page[name].get_object()
-
-
-def _stamp(writer: PdfWriter, page: PageObject, source: PageObject, item: _Placed, name: str) -> None:
-    form = StreamObject()
-    form.set_data(_inside(source, "/Contents").get_data())
-    form.update(
-        {
-            NameObject("/Type"): NameObject("/XObject"),
-            NameObject("/Subtype"): NameObject("/Form"),
-            NameObject("/BBox"): ArrayObject(FloatObject(edge) for edge in source.mediabox),
-            NameObject("/Resources"): _inside(source, "/Resources").clone(writer),
-        }
-    )
-    forms = _inside(page, "/Resources").setdefault(NameObject("/XObject"), DictionaryObject()).get_object()
-    forms[NameObject(name)] = writer._add_object(form.flate_encode())
-    scale = item.picture.width / POINT / float(source.mediabox.width)
-    left, bottom = item.x / POINT, (PAGE_HEIGHT - item.y - item.picture.height) / POINT
-    drawing = StreamObject()
-    drawing.set_data(f"q {scale:.6f} 0 0 {scale:.6f} {left:.4f} {bottom:.4f} cm {name} Do Q".encode())
-    parts = _inside(page, "/Contents")
-    kept = list(parts) if isinstance(parts, ArrayObject) else [page.raw_get("/Contents")]
-    page[NameObject("/Contents")] = ArrayObject([*kept, writer._add_object(drawing)])

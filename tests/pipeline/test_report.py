@@ -259,14 +259,10 @@ def test_pdf_is_numbered_has_the_verdict_and_no_pixels(out: Path) -> None:
     assert "inconclusive" in pages[0]
     for number, text in enumerate(pages, 1):
         assert f"{number} / {len(pages)}" in text
-    forms = 0
-    for page in document.pages:
-        for item in (page["/Resources"].get("/XObject") or {}).values():
-            inside = (item["/Resources"].get("/XObject") or {}).values()
-            assert {each["/Subtype"] for each in (item, *inside)} == {"/Form"}
-            forms += 1
-    equations = 5
-    assert forms == len(charts_of(report.sections_of(read_result(out)))) + equations
+    assert not any(page["/Resources"].get("/XObject") for page in document.pages)
+    whole = " ".join("\n".join(pages).split())
+    for chart in charts_of(report.sections_of(read_result(out))):
+        assert all(panel.y_label in whole for panel in chart.panels), chart.key
     assert document.metadata is not None
     assert document.metadata.title == "Adequacy report: sample-1"
 
