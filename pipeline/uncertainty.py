@@ -8,7 +8,8 @@ then sums of such responses. Tests hold this against full simulations of the sam
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,8 @@ from ..model.machine import Machine, MachineError
 from ..model.simulate import BatchRun
 from . import grid as on_grid
 from .fusion.motion import Motion, SteerInput
-from .replay import V_LATERAL, YAW, YAW_RATE, Drive, V, Window, drive_of, initial_states, run_windows
-from .window_fit import HEADING, OFFSET, Context, WindowFit, coarse, nominal_run, trailed_run
+from .replay import V_LATERAL, YAW, YAW_RATE, Drive, V, Window, drive_of, run_windows, shifted
+from .window_fit import HEADING, OFFSET, STEER, Context, WindowFit, coarse, trailed_run
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +30,42 @@ KNOT_SPACING = 1.0  # s between the knots of the steering error
 STEER_STEP = float(np.deg2rad(0.2))
 SCALE_STEP = 0.02
 YAW_STEP, RATE_STEP, SPEED_STEP = 0.005, 0.005, 0.02  # rad, rad/s, m/s
-STATE_YAW2, STATE_W1, STATE_W2 = 3, 6, 7  # of the model's state
+STATE_YAW1, STATE_YAW2, STATE_VX1, STATE_VY1, STATE_W1, STATE_W2 = 2, 3, 4, 5, 6, 7  # of the model's state
+
+
+@dataclass(frozen=True)
+class Base:
+    """The runs about which a row's responses are linear: where each window's alignment took its sensitivity.
+
+    initial : (W, 8) their states at the start; offset : (W,) rad added to the steering
+    """
+
+    context: Context
+    drive: Drive
+    windows: tuple[Window, ...]
+    initial: Floats
+    offset: Floats
+
+    def run(self, machine: Machine | None = None, change: Floats | float = 0.0, **changes: Any) -> BatchRun:
+        """Every window's run with another machine, a changed start, or `run_windows`' changes."""
+        given = {"steer_offset": self.offset} | changes
+        machine = self.context.machine if machine is None else machine
+        motion = self.context.motion
+        return run_windows(machine, self.drive, motion, self.windows, self.initial + change, **given)
+
+    def trailed(self, machine: Machine | None = None, **changes: float) -> BatchRun:
+        """The same of the seeder alone behind the measured tractor."""
+        machine = self.context.machine if machine is None else machine
+        return trailed_run(self.context, self.drive, self.windows, machine, **changes)
+
+
+def base_of(context: Context, fits: Sequence[WindowFit]) -> Base:
+    """The coarse runs about which the windows' responses are taken."""
+    windows, row = tuple(f.window for f in fits), context.grid.row
+    about = np.stack([f.about for f in fits])
+    initial = shifted(context.motion, windows, row, about[:, OFFSET], about[:, HEADING])
+    offset = np.zeros(len(windows)) if context.trailed else about[:, STEER]
+    return Base(context, coarse(drive_of(context.motion, row, context.settings)), windows, initial, offset)
 
 
 @dataclass(frozen=True)
@@ -65,54 +101,40 @@ def input_changes(
 
     parameters : standard deviations by dotted name, SI, as the manifest states them
     """
-    windows, row = [f.window for f in fits], context.grid.row
-    drive = coarse(drive_of(context.motion, row, context.settings))
-    nominal = nominal_run(context, drive, windows)
-    base = [on_grid.stacked_simulated(f.parts, row, nominal, i) for i, f in enumerate(fits)]
+    row, base = context.grid.row, base_of(context, fits)
+    nominal = base.trailed() if context.trailed else base.run()
+    plain = [on_grid.stacked_simulated(f.parts, row, nominal, i) for i, f in enumerate(fits)]
     found = [{g: np.zeros((f.start.size, context.settings.draws)) for g in GROUPS} for f in fits]
-    for source in _sources(context, drive, windows, parameters, np.random.default_rng(seed)):
+    for source in _sources(base, parameters, np.random.default_rng(seed)):
         for i, fit in enumerate(fits):
-            change = on_grid.stacked_simulated(fit.parts, row, source.run, i) - base[i]
+            change = on_grid.stacked_simulated(fit.parts, row, source.run, i) - plain[i]
             draws = source.draws if source.draws.ndim == 1 else source.draws[i]
             found[i][source.group] += np.outer(change, draws)
     return found
 
 
-def _sources(
-    context: Context,
-    drive: Drive,
-    windows: Sequence[Window],
-    parameters: Mapping[str, float],
-    generator: np.random.Generator,
-) -> Iterator[Source]:
-    yield from _parameter_sources(context, drive, windows, parameters, generator)
-    if context.trailed:
-        yield from _trailed_start_sources(context, drive, windows, generator)
+def _sources(base: Base, parameters: Mapping[str, float], generator: np.random.Generator) -> Iterator[Source]:
+    yield from _parameter_sources(base, parameters, generator)
+    if base.context.trailed:
+        yield from _trailed_start_sources(base, generator)
         return
-    yield from _start_sources(context, drive, windows, generator)
-    if context.motion.steer_input is not None:
-        yield from _constant_steering_sources(context, drive, windows, generator)
-        yield from _slow_steering_sources(context, drive, windows, generator)
+    yield from _start_sources(base, generator)
+    if base.context.motion.steer_input is not None:
+        yield from _constant_steering_sources(base, generator)
+        yield from _slow_steering_sources(base, generator)
 
 
 def _parameter_sources(
-    context: Context,
-    drive: Drive,
-    windows: Sequence[Window],
-    parameters: Mapping[str, float],
-    generator: np.random.Generator,
+    base: Base, parameters: Mapping[str, float], generator: np.random.Generator
 ) -> Iterator[Source]:
     """One standard deviation of each stated parameter, shared by all windows."""
-    initial = initial_states(context.motion, windows)
     for name, sd in parameters.items():
-        draws = generator.standard_normal(context.settings.draws)
-        machine = machine_changed(context.machine, name, sd)
+        draws = generator.standard_normal(base.context.settings.draws)
+        machine = machine_changed(base.context.machine, name, sd)
         if machine is None:
             continue
-        if context.trailed:
-            yield Source(PARAMETERS, trailed_run(context, drive, windows, machine), draws)
-        else:
-            yield Source(PARAMETERS, run_windows(machine, drive, context.motion, windows, initial), draws)
+        run = base.trailed(machine) if base.context.trailed else base.run(machine)
+        yield Source(PARAMETERS, run, draws)
 
 
 def machine_changed(machine: Machine, name: str, sd: float) -> Machine | None:
@@ -127,37 +149,41 @@ def machine_changed(machine: Machine, name: str, sd: float) -> Machine | None:
         return None
 
 
-def _trailed_start_sources(
-    context: Context, drive: Drive, windows: Sequence[Window], generator: np.random.Generator
-) -> Iterator[Source]:
-    own = _own_draws(context, windows, generator)
-    yaw = trailed_run(context, drive, windows, context.machine, yaw=YAW_STEP)
-    yield Source(START, yaw, next(own) * start_sds(context.motion, windows, 2, YAW) / YAW_STEP)
-    rate = trailed_run(context, drive, windows, context.machine, rate=RATE_STEP)
-    yield Source(START, rate, next(own) * start_sds(context.motion, windows, 2, YAW_RATE) / RATE_STEP)
+def _trailed_start_sources(base: Base, generator: np.random.Generator) -> Iterator[Source]:
+    motion, own = base.context.motion, _own_draws(base, generator)
+    yaw = base.trailed(yaw=YAW_STEP)
+    yield Source(START, yaw, next(own) * start_sds(motion, base.windows, 2, YAW) / YAW_STEP)
+    rate = base.trailed(rate=RATE_STEP)
+    yield Source(START, rate, next(own) * start_sds(motion, base.windows, 2, YAW_RATE) / RATE_STEP)
 
 
-def _start_sources(
-    context: Context, drive: Drive, windows: Sequence[Window], generator: np.random.Generator
-) -> Iterator[Source]:
+def _start_sources(base: Base, generator: np.random.Generator) -> Iterator[Source]:
     """The start's lateral speed, yaw rates and the seeder's yaw (offset and heading belong to measuring
     error),
     and the measured speed."""
-    motion, own = context.motion, _own_draws(context, windows, generator)
-    initial = initial_states(motion, windows)
-    sideways = initial_states(motion, windows, sideways=RATE_STEP)
+    motion, own = base.context.motion, _own_draws(base, generator)
     changes = [
-        (sideways - initial, 1, V_LATERAL, RATE_STEP),
-        (_step(initial, STATE_W1), 1, YAW_RATE, RATE_STEP),
+        (_sideways(base.initial), 1, V_LATERAL, RATE_STEP),
+        (_step(base.initial, STATE_W1), 1, YAW_RATE, RATE_STEP),
     ]
     if motion.seeder is not None:
-        changes.append((_step(initial, STATE_YAW2), 2, YAW, RATE_STEP))
-        changes.append((_step(initial, STATE_W2), 2, YAW_RATE, RATE_STEP))
+        changes.append((_step(base.initial, STATE_YAW2), 2, YAW, RATE_STEP))
+        changes.append((_step(base.initial, STATE_W2), 2, YAW_RATE, RATE_STEP))
     for change, body, component, step in changes:
-        run = run_windows(context.machine, drive, motion, windows, initial + change)
-        yield Source(START, run, next(own) * start_sds(motion, windows, body, component) / step)
-    run = run_windows(context.machine, drive, motion, windows, initial, speed_offset=SPEED_STEP)
-    yield Source(START, run, next(own) * start_sds(motion, windows, 1, V) / SPEED_STEP)
+        yield Source(
+            START,
+            base.run(change=change),
+            next(own) * start_sds(motion, base.windows, body, component) / step,
+        )
+    run = base.run(speed_offset=SPEED_STEP)
+    yield Source(START, run, next(own) * start_sds(motion, base.windows, 1, V) / SPEED_STEP)
+
+
+def _sideways(initial: Floats) -> Floats:
+    """The change of the states by a step of the tractor's lateral speed."""
+    change, yaw = np.zeros_like(initial), initial[:, STATE_YAW1]
+    change[:, STATE_VX1], change[:, STATE_VY1] = -RATE_STEP * np.sin(yaw), RATE_STEP * np.cos(yaw)
+    return change
 
 
 def _step(initial: Floats, column: int) -> Floats:
@@ -171,32 +197,25 @@ def start_sds(motion: Motion, windows: Sequence[Window], body: int, component: i
     return motion.bodies[body - 1].sd(component)[[w.start for w in windows], np.newaxis]
 
 
-def _own_draws(
-    context: Context, windows: Sequence[Window], generator: np.random.Generator
-) -> Iterator[Floats]:
+def _own_draws(base: Base, generator: np.random.Generator) -> Iterator[Floats]:
     while True:
-        yield generator.standard_normal((len(windows), context.settings.draws))
+        yield generator.standard_normal((len(base.windows), base.context.settings.draws))
 
 
-def _constant_steering_sources(
-    context: Context, drive: Drive, windows: Sequence[Window], generator: np.random.Generator
-) -> Iterator[Source]:
+def _constant_steering_sources(base: Base, generator: np.random.Generator) -> Iterator[Source]:
     """Zero and scale of the steering, constant over the row."""
-    motion, count = context.motion, context.settings.draws
-    steer, initial = _steer(motion), initial_states(motion, windows)
-    zero = run_windows(context.machine, drive, motion, windows, initial, steer_offset=STEER_STEP)
+    steer, count = _steer(base.context.motion), base.context.settings.draws
+    zero = base.run(steer_offset=base.offset + STEER_STEP)
     yield Source(STEERING, zero, generator.standard_normal(count) * steer.zero_sd / STEER_STEP)
-    scale = run_windows(context.machine, drive, motion, windows, initial, steer_scale=1.0 + SCALE_STEP)
+    scale = base.run(steer_scale=1.0 + SCALE_STEP)
     yield Source(STEERING, scale, generator.standard_normal(count) * steer.scale_sd / SCALE_STEP)
 
 
-def _slow_steering_sources(
-    context: Context, drive: Drive, windows: Sequence[Window], generator: np.random.Generator
-) -> Iterator[Source]:
+def _slow_steering_sources(base: Base, generator: np.random.Generator) -> Iterator[Source]:
     """The steering's changing error, as hats at knots each second of a window: batch k moves every
     window's knot k."""
-    motion = context.motion
-    steer, initial = _steer(motion), initial_states(motion, windows)
+    context, windows = base.context, base.windows
+    motion, steer = context.motion, _steer(context.motion)
     longest = max(motion.t[w.stop - 1] - motion.t[w.start] for w in windows)
     knots = int(np.ceil(longest / KNOT_SPACING)) + 1
     white = float(np.median(np.diff(motion.t)))
@@ -206,9 +225,7 @@ def _slow_steering_sources(
         centres = [motion.t[w.start] + k * KNOT_SPACING for w in windows]
         hats = np.stack([np.maximum(1.0 - np.abs(motion.t - c) / KNOT_SPACING, 0.0) for c in centres])
         table = drive_of(motion, context.grid.row, context.settings, steer.angle + STEER_STEP * hats)
-        run = run_windows(
-            context.machine, coarse(table), motion, windows, initial, steer_row=np.arange(len(windows))
-        )
+        run = replace(base, drive=coarse(table)).run(steer_row=np.arange(len(windows)))
         yield Source(STEERING, run, own[:, k] * sd[:, np.newaxis] / STEER_STEP)
 
 

@@ -35,6 +35,8 @@ Mask = NDArray[np.bool_]
 
 OFFSET, HEADING, STEER = 0, 1, 2  # of the alignment's θ
 STEER_STEP = float(np.deg2rad(0.1))  # of the finite difference for the steering offset
+ROUNDS = 4  # of Gauss–Newton after the first, linear step
+STEP_LEFT = 0.1  # standard deviations of θ: a step under this is left undone
 COARSE_SPACING, COARSE_STEP = 0.05, 0.02  # s, for the horizon curve and the sensitivities
 
 
@@ -56,6 +58,7 @@ class Context:
 class WindowFit:
     """One window: stacked arrays (N,) over its points, response by response.
 
+    about : θ where the sensitivity was taken: nothing, or where one linear step did not get far enough
     start : residual with the state from the smoother and nothing moved; bounded : after the bounded
     alignment (run
     again with the aligned start and steering); free : with offset and heading fitted without a prior
@@ -65,6 +68,7 @@ class WindowFit:
     window: Window
     parts: tuple[Part, ...]
     valid: Mask
+    about: Floats
     sensitivity: Floats
     alignment: Alignment
     start: Floats
@@ -111,25 +115,103 @@ def fit_windows(context: Context, horizon: float, fine: bool) -> tuple[WindowFit
     drive = drive if fine else coarse(drive)
     nominal = nominal_run(context, drive, windows)
     start = residuals(nominal, parts, context)
-    slopes = sensitivities(context, drive, windows, parts)
-    found = [_aligned(context, w, p, r, j) for w, p, r, j in zip(windows, parts, start, slopes, strict=True)]
-    final, bounded = _moved(context, drive, windows, parts, nominal, start, slopes, found)
+    stands, final = _settled(context, drive, windows, parts, nominal, start)
     return tuple(
         WindowFit(
             window=w,
             parts=parts[i],
             valid=on_grid.stacked_valid(parts[i]),
-            sensitivity=slopes[i],
-            alignment=found[i],
+            about=stands[i].about,
+            sensitivity=stands[i].slope,
+            alignment=stands[i].alignment,
             start=start[i],
-            bounded=bounded[i],
-            free=_free(context, w, parts[i], start[i], slopes[i]),
-            null=_null(context, w, parts[i], slopes[i]),
+            bounded=stands[i].residual,
+            free=_free(context, w, parts[i], start[i], stands[i].slope),
+            null=_null(context, w, parts[i], stands[i].slope),
             run=final,
             index=i,
         )
         for i, w in enumerate(windows)
     )
+
+
+@dataclass(frozen=True)
+class Stand:
+    """Where one window's alignment stands.
+
+    slope : (N, P) sensitivity at θ = `about`, whose own run left `base` (N,); alignment : the answer to
+    it; residual : (N,) of the run with that answer; weights, prior : of the stated sum
+    """
+
+    about: Floats
+    base: Floats
+    slope: Floats
+    alignment: Alignment
+    residual: Floats
+    weights: Floats
+    prior: Floats
+
+
+def _settled(
+    context: Context,
+    drive: Drive,
+    windows: Sequence[Window],
+    parts: Sequence[tuple[Part, ...]],
+    nominal: BatchRun,
+    start: Sequence[Floats],
+) -> tuple[list[Stand], BatchRun]:
+    """Each window aligned, by Gauss–Newton where one linear step is not enough, and the runs as aligned.
+
+    A window whose run agrees with its linear forecast to a tenth of θ's standard deviations stays as the
+    first step left it.
+    """
+    nothing = np.zeros((len(windows), 2 if context.trailed else 3))
+    slopes = sensitivities(context, drive, windows, parts, nothing)
+    weights = [weights_of(context, w, p) for w, p in zip(windows, parts, strict=True)]
+    priors = [_prior(context, w) for w in windows]
+    found = [align(*given) for given in zip(start, slopes, weights, priors, strict=True)]
+    final, bounded = _moved(context, drive, windows, parts, nominal, start, slopes, found)
+    stands = [
+        Stand(*given) for given in zip(nothing, start, slopes, found, bounded, weights, priors, strict=True)
+    ]
+    for _ in range(ROUNDS):
+        far = [not context.trailed and step_left(s) > STEP_LEFT for s in stands]
+        if not any(far):
+            break
+        slopes = sensitivities(context, drive, windows, parts, np.stack([s.alignment.theta for s in stands]))
+        stands = [_again(s, j) if f else s for s, j, f in zip(stands, slopes, far, strict=True)]
+        final, bounded = _moved(
+            context, drive, windows, parts, nominal, start, slopes, [s.alignment for s in stands]
+        )
+        stands = [replace(s, residual=r) for s, r in zip(stands, bounded, strict=True)]
+    return stands, final
+
+
+def step_left(stand: Stand) -> float:
+    """How far θ would still move, in its standard deviations, by what the run differs from its linear forecast."""
+    theta = stand.alignment.theta
+    missed = stand.residual - stand.base - stand.slope @ (theta - stand.about)
+    step = stand.alignment.gain @ missed
+    return float(np.sqrt(max(step @ ((stand.slope.T * stand.weights) @ missed), 0.0)))
+
+
+def _again(stand: Stand, slope: Floats) -> Stand:
+    """The next Gauss–Newton step, from a `slope` taken at the present θ; half the last step again where
+    that made the sum larger."""
+    theta = stand.alignment.theta
+    if _sum(stand, stand.residual, theta) > _sum(stand, stand.base, stand.about):
+        halved = 0.5 * (stand.about + theta)
+        chi2 = float(halved @ np.linalg.solve(stand.prior, halved))
+        return replace(stand, alignment=replace(stand.alignment, theta=halved, chi2=chi2))
+    # Linear in θ about the present one, but with the prior where it always was: about nothing moved.
+    forecast = stand.residual - slope @ theta
+    found = align(forecast, slope, stand.weights, stand.prior)
+    return replace(stand, about=theta, base=stand.residual, slope=slope, alignment=found)
+
+
+def _sum(stand: Stand, residual: Floats, theta: Floats) -> float:
+    """The sum that the alignment makes small: Σ rᵀS⁻¹r + θᵀP₀⁻¹θ."""
+    return float(stand.weights @ residual**2 + theta @ np.linalg.solve(stand.prior, theta))
 
 
 def coarse(drive: Drive) -> Drive:
@@ -197,15 +279,18 @@ def sensitivities(
     drive: Drive,
     windows: Sequence[Window],
     parts: Sequence[tuple[Part, ...]],
+    about: Floats,
 ) -> list[Floats]:
-    """(N, 3) of each window to θ, the steering offset's by a central difference; (N, 2) without a tractor
-    model."""
+    """(N, 3) of each window to θ at θ = about (W, 3), the steering offset's by a central difference; (N, 2)
+    without a tractor model."""
     rigid = [rigid_sensitivity(w, p) for w, p in zip(windows, parts, strict=True)]
     if context.trailed:
         return rigid
-    initial = initial_states(context.motion, windows)
+    initial = shifted(context.motion, windows, context.grid.row, about[:, OFFSET], about[:, HEADING])
     left, right = (
-        run_windows(context.machine, drive, context.motion, windows, initial, steer_offset=step)
+        run_windows(
+            context.machine, drive, context.motion, windows, initial, steer_offset=about[:, STEER] + step
+        )
         for step in (STEER_STEP, -STEER_STEP)
     )
     row = context.grid.row
@@ -233,12 +318,6 @@ def weights_of(context: Context, window: Window, parts: Sequence[Part]) -> Float
 def _prior(context: Context, window: Window) -> Floats:
     prior = window_prior(context.motion, window, context.grid.row, context.settings)
     return prior[:2, :2] if context.trailed else prior
-
-
-def _aligned(
-    context: Context, window: Window, parts: Sequence[Part], residual: Floats, slope: Floats
-) -> Alignment:
-    return align(residual, slope, weights_of(context, window, parts), _prior(context, window))
 
 
 def _moved(
