@@ -5,10 +5,11 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
+from itertools import accumulate, takewhile
 from pathlib import Path
 
 from fpdf import FPDF
-from fpdf.enums import MethodReturnValue, XPos, YPos
+from fpdf.enums import XPos, YPos
 from fpdf.fonts import TTFFont
 
 from . import figures_style as style
@@ -35,14 +36,25 @@ class _Sheet(FPDF):
     def __init__(self, short: str) -> None:
         super().__init__("P", "mm", "A4")
         self.short = short
-        self.glyphs: frozenset[int] = frozenset()
+        self.glyphs: frozenset[str] = frozenset()
 
     def normalize_text(self, text: str) -> str:
         """The text with a box for every sign that the font lacks: manifests may hold any."""
-        shown = "".join(
-            sign if ord(sign) in self.glyphs else MISSING_GLYPH for sign in text.replace("\t", " ")
+        if self.glyphs and not self.glyphs.issuperset(text):
+            shown = text.replace("\t", " ")
+            text = "".join(sign if sign in self.glyphs else MISSING_GLYPH for sign in shown)
+        return str(super().normalize_text(text))
+
+    def width_of(self, text: str) -> float:
+        """Width in mm of one line in the font that is set."""
+        assert self.current_font is not None  # set before anything is measured
+        return float(
+            self.current_font.get_text_width(self.normalize_text(text), self.font_size_pt, None)[1] / self.k
         )
-        return str(super().normalize_text(shown if self.glyphs else text))
+
+    def line_of(self, x: float, y: float, height: float, text: str) -> None:
+        """One line of text from x, in the middle of the height that begins at y; mm."""
+        self.text(x, y + 0.5 * height + 0.3 * self.font_size, text)
 
     def footer(self) -> None:
         """Name of the run and page number of how many, under a rule."""
@@ -62,24 +74,24 @@ def render(head: Head, sections: Sequence[Section], drawn: Mapping[str, Drawing]
     drawn : figures by the key of their chart, or by the words of their equation
     date : stands as the creation date, so that the same result gives the same bytes
     """
-    sheet = _sheet(head, date)
+    missing = any(isinstance(block, Missing) for section in sections for block in section.blocks)
+    sheet = _sheet(head, date, FACES if missing else FACES[:2])
     _first_page(sheet, head)
     for section in sections:
         _section(sheet, section, drawn)
     return bytes(sheet.output())
 
 
-def _sheet(head: Head, date: dt.date) -> _Sheet:
+FACES = (("", "DejaVuSans.ttf"), ("B", "DejaVuSans-Bold.ttf"), ("I", "DejaVuSans-Oblique.ttf"))
+
+
+def _sheet(head: Head, date: dt.date, faces: Sequence[tuple[str, str]]) -> _Sheet:
     sheet = _Sheet(head.short)
     fonts = _font_folder()
-    for emphasis, file in (
-        ("", "DejaVuSans.ttf"),
-        ("B", "DejaVuSans-Bold.ttf"),
-        ("I", "DejaVuSans-Oblique.ttf"),
-    ):
+    for emphasis, file in faces:
         sheet.add_font("Sans", emphasis, fonts / file)
     covered = [frozenset(font.cmap) for font in sheet.fonts.values() if isinstance(font, TTFFont)]
-    sheet.glyphs = frozenset.intersection(*covered) | {ord("\n")}
+    sheet.glyphs = frozenset(map(chr, frozenset.intersection(*covered) | {ord("\n")}))
     sheet.set_creation_date(dt.datetime.combine(date, dt.time(), dt.UTC))
     sheet.set_title(head.title)
     sheet.set_lang("en")
@@ -102,9 +114,43 @@ def _write(
 ) -> None:
     sheet.set_font("Sans", emphasis, size)
     sheet.set_text_color(*colour)
-    sheet.multi_cell(
-        PAGE_WIDTH - MARGIN - sheet.l_margin, 0.5 * size, text, new_x=XPos.LMARGIN, new_y=YPos.NEXT, align="L"
-    )
+    _paragraph(sheet, sheet.l_margin, PAGE_WIDTH - MARGIN - sheet.l_margin, 0.5 * size, text)
+
+
+def _paragraph(sheet: _Sheet, left: float, width: float, height: float, text: str) -> None:
+    """Text broken to a width, in lines of a height (mm), from where the page is filled to."""
+    for line in _broken(sheet, text, width - 2.0 * sheet.c_margin):
+        _room(sheet, height)
+        sheet.line_of(left + sheet.c_margin, sheet.get_y(), height, line)
+        sheet.set_xy(left, sheet.get_y() + height)
+
+
+def _broken(sheet: _Sheet, text: str, room: float) -> list[str]:
+    """The text in lines that fit into `room` mm: between words, or inside one that is wider than a line.
+
+    Widths add up (nothing is kerned), so each word is measured once, however long the text is.
+    """
+    lines, space = [], sheet.width_of(" ")
+    for paragraph in text.split("\n"):
+        line, used = "", -space
+        for word in paragraph.split(" "):
+            wide = sheet.width_of(word)
+            if used >= 0.0 and used + space + wide > room:
+                lines.append(line)
+                line, used = "", -space
+            while wide > room:
+                fits = _fitting(sheet, word, room)
+                lines.append(word[:fits])
+                word, wide = word[fits:], sheet.width_of(word[fits:])
+            line, used = (f"{line} {word}" if used >= 0.0 else word), used + space + wide
+        lines.append(line)
+    return lines
+
+
+def _fitting(sheet: _Sheet, word: str, room: float) -> int:
+    """How many of the word's first signs fit into `room` mm; one at least."""
+    ends = accumulate(map(sheet.width_of, word))
+    return max(sum(1 for _ in takewhile(lambda end: end <= room, ends)), 1)
 
 
 def _first_page(sheet: _Sheet, head: Head) -> None:
@@ -133,10 +179,9 @@ def _bullet(sheet: _Sheet, text: str) -> None:
     """A listed sentence, its later lines under its first."""
     left = sheet.l_margin
     sheet.set_font("Sans", "", 9.0)
-    sheet.cell(4.0, 4.5, "•")
-    sheet.set_left_margin(left + 4.0)
-    sheet.multi_cell(TEXT_WIDTH - 8.0, 4.5, text, new_x=XPos.LMARGIN, new_y=YPos.NEXT, align="L")
-    sheet.set_left_margin(left)
+    _room(sheet, 4.5)
+    sheet.line_of(left + sheet.c_margin, sheet.get_y(), 4.5, "•")
+    _paragraph(sheet, left + 4.0, TEXT_WIDTH - 8.0, 4.5, text)
     sheet.set_x(left)
 
 
@@ -154,8 +199,7 @@ def _numbers(sheet: _Sheet, head: Head) -> None:
         ):
             sheet.set_font("Sans", emphasis, size)
             sheet.set_text_color(*colour)
-            sheet.set_x(left)
-            sheet.multi_cell(width - 4.0, 0.5 * size, text, new_x=XPos.LEFT, new_y=YPos.NEXT, align="L")
+            _paragraph(sheet, left, width - 4.0, 0.5 * size, text)
         for name, value in number.details:
             sheet.set_x(left)
             sheet.set_font("Sans", "", 8.5)
@@ -266,8 +310,9 @@ def _table_row(
         align = aligned[index]
         for number, line in enumerate(_lines(sheet, text, width)):
             indent = 2.0 if align == "L" and index > 0 else 0.0
-            sheet.set_xy(left + indent, top + 0.5 + number * LINE)
-            sheet.cell(width - indent, LINE, line, align=align)
+            spare = width - sheet.width_of(line) - sheet.c_margin
+            start = spare if align == "R" else indent + sheet.c_margin
+            sheet.line_of(left + start, top + 0.5 + number * LINE, LINE, line)
         left += width
     sheet.line(MARGIN, top + height, MARGIN + sum(widths), top + height)
     sheet.set_xy(MARGIN, top + height)
@@ -281,9 +326,7 @@ def _lines(sheet: _Sheet, text: str, width: float) -> list[str]:
     """The text broken to a cell's width; the common case, one line, costs one measurement."""
     if not text or _text_width(sheet, text) <= width - 3.0:
         return [text]
-    broken = sheet.multi_cell(width, LINE, text, dry_run=True, output=MethodReturnValue.LINES)
-    assert isinstance(broken, list)  # what LINES asks for
-    lines = [str(line) for line in broken]
+    lines = _broken(sheet, text, width - 2.0 * sheet.c_margin)
     return lines if len(lines) <= MOST_LINES else [*lines[: MOST_LINES - 1], CUT]
 
 
@@ -314,4 +357,4 @@ def _fair_share(wanted: Sequence[float], room: float) -> float:
 
 
 def _text_width(sheet: _Sheet, text: str) -> float:
-    return max((float(sheet.get_string_width(line)) for line in text.splitlines()), default=0.0)
+    return max((sheet.width_of(line) for line in text.splitlines()), default=0.0)

@@ -18,12 +18,13 @@ import numpy as np
 import pypdf
 import pytest
 import report_samples as samples
+from fpdf.enums import MethodReturnValue
 from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from smts_validate.pipeline import figures_style as style
-from smts_validate.pipeline import report, report_charts
+from smts_validate.pipeline import report, report_charts, report_pass, report_pdf
 from smts_validate.pipeline.remake import Exports, RemakeError, remake
 from smts_validate.pipeline.report_blocks import Chart, Curve, Missing, Panel, Table, charts_of, tables_of
 from smts_validate.pipeline.result import PassResult, read_result, write_result
@@ -411,3 +412,17 @@ def test_creation_date_is_the_runs_so_that_bytes_do_not_change(out: Path) -> Non
     created = metadata.creation_date
     assert created is not None
     assert created.date() == dt.date(2025, 5, 15)
+
+
+def test_pdf_breaks_text_as_its_library_does_and_a_long_word_inside(out: Path) -> None:
+    sheet = report_pdf._sheet(report_pass.head_of(read_result(out)), dt.date(2025, 5, 14), report_pdf.FACES)
+    sheet.set_font("Sans", "", 9.0)
+    words = (
+        "The windows' residuals after the bounded alignment, at equal distance along the line; gaps left out."
+    )
+    theirs = sheet.multi_cell(60.0, 4.5, words, dry_run=True, output=MethodReturnValue.LINES, align="L")
+    assert report_pdf._broken(sheet, words, 60.0 - 2.0 * sheet.c_margin) == theirs
+    lines = report_pdf._broken(sheet, f"before {'x' * 200} after\n\nend", 50.0)
+    assert "".join(lines).replace(" ", "") == f"before{'x' * 200}afterend"
+    assert lines[-2:] == ["", "end"]
+    assert all(sheet.get_string_width(line) <= 50.0 for line in lines)
