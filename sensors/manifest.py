@@ -281,7 +281,8 @@ class Speed(Sensor):
     """Speed by the rotation of wheels, as a CAN bus tells it, and how good it is.
 
     wheel : whose hub's speed along the wheel's heading; None: of the middle of the rear axle (gearbox, ECU)
-    noise : m/s, of a value; scale_sd : 1, of the radius that was assumed and of the mean slip together
+    noise : m/s, of a value (None: as the pass shows); scale_sd : 1, of the radius that was assumed and of the mean
+        slip together
     """
 
     COLUMNS: ClassVar[tuple[str, ...]] = ("t_host_ns", "speed")
@@ -289,7 +290,7 @@ class Speed(Sensor):
     kind: Literal["speed"]
     wheel: Wheel | None = None
     rate: Positive
-    noise: Positive = 0.05
+    noise: Positive | None = None
     scale_sd: Positive = 0.10
 
 

@@ -164,6 +164,8 @@ def noise_table(known: Known, levels: Levels, free: tuple[str, ...], p: Floats) 
     table: dict[str, dict[str, Any]] = {name: dict(v) for name, v in known.one.noise.items()}
     if known.two is not None:
         table |= {name: dict(v) for name, v in known.two.noise.items()}
+    if known.wheel is not None:
+        table |= {name: dict(v) for name, v in known.wheel.noise.items()}
     for e in known.epochs:
         table[e.name] = {
             "position": {

@@ -14,7 +14,8 @@ from . import initial, problem
 from . import state as s
 from .motion import Origin
 from .prepare import STEP, BodyInputs, body_inputs, grid, resolved_yaw_rate, standing, tilt
-from .problem import Epochs, Problem, WheelSpeed
+from .problem import Epochs, Problem
+from .rolling import WheelSpeed, forwards_of, wheel_speed
 from .settings import FusionSettings, Levels
 
 Floats = NDArray[np.float64]
@@ -86,8 +87,8 @@ def prepare(log: FieldLog, wheels: Mapping[str, WheelMotion]) -> Known:
     if machine.seeder is not None:
         axle = np.array([-float(np.mean(machine.seeder.axles)), 0.0, 0.0])
         two = body_inputs(log, "seeder", axle, t, still)
-    forwards = np.where(spin < 0.0, -1.0, 1.0) if spin is not None else np.ones(t.size)
-    wheel = wheel_speed(t, wheels, log, one)
+    forwards = forwards_of(t, spin, log)
+    wheel = wheel_speed(t, wheels, log, one.node_rate[:, 2], forwards)
     return _aligned(Known(log, origin, t, one, two, epochs, still, wheel, speed, forwards), forwards)
 
 
@@ -95,25 +96,6 @@ def _mean_spin(t: Floats, wheels: Mapping[str, WheelMotion]) -> Floats | None:
     """Mean spin of all wheels with a unit on the grid, rad/s; None without one."""
     spins = [np.interp(t, w.t, w.spin) for w in wheels.values()]
     return np.mean(spins, axis=0) if spins else None
-
-
-def wheel_speed(
-    t: Floats, wheels: Mapping[str, WheelMotion], log: FieldLog, one: BodyInputs
-) -> WheelSpeed | None:
-    """Speed of the rear axle's centre by its wheels' spin and stated radius; a side alone is moved by the turn."""
-    tractor = log.manifest.machine.tractor
-    rear = [w for w in wheels.values() if w.wheel.startswith("rear")]
-    if not rear:
-        return None
-    total, variance = np.zeros(t.size), np.zeros(t.size)
-    for w in rear:
-        side = 0.5 if w.wheel.endswith("left") else -0.5
-        turn = side * tractor.rear_track * one.node_rate[:, 2]
-        speed = np.interp(t, w.t, w.spin) * tractor.rear_wheel_radius + turn
-        far = (t < w.t[0]) | (t > w.t[-1])
-        total += np.where(far, np.nan, speed)
-        variance += (np.interp(t, w.t, w.spin_sd) * tractor.rear_wheel_radius) ** 2
-    return WheelSpeed(total / len(rear), np.sqrt(variance) / len(rear), ", ".join(w.name for w in rear))
 
 
 def _aligned(known: Known, forwards: Floats) -> Known:
@@ -182,6 +164,8 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
         lag_sd(known.log), known.nodes, known.bias,
     )  # fmt: skip
     x0[s.LAG] = lag
+    if known.wheel is not None:
+        P0[s.KAPPA, s.KAPPA] = known.wheel.scale_sd**2
     inject = new_float_spans(known, lag, p)
     return Problem(known.t, known.steps, known.nodes, q, inject, p, x0, P0)
 

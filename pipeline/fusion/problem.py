@@ -17,13 +17,13 @@ from . import settings as physics
 from . import state as s
 from .motion import Origin
 from .prepare import STEP, BodyInputs
+from .rolling import WheelSpeed
 from .settings import Levels
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 EVERY_TILT = 2  # nodes between tilt and hitch measurements: 25 Hz
-EVERY_WHEEL = 5
 LEVEL_EVERY = 50
 APART = 5.0  # m, with ten times the median distance: altitudes that far from the median are not the ground's
 HITCH_FLOOR = 0.001  # m/s, white part of the seeder's lateral velocity
@@ -224,15 +224,6 @@ def nodes_of(one: BodyInputs, yaw_rate2: Floats | None, roll2: Floats, pitch2: F
     return nodes
 
 
-@dataclass(frozen=True)
-class WheelSpeed:
-    """Mean forward speed of the driven axle's hubs at its centre by nominal radius, on the grid; NaN: unknown."""
-
-    speed: Floats
-    sd: Floats
-    source: str
-
-
 def measurements_of(
     t: Floats, epochs: Sequence[Epochs], nodes: Floats, still: NDArray[np.bool_], wheel: WheelSpeed | None,
     levels: Levels, p: Floats, lag: float, yaw: tuple[Floats, Floats | None], slow: NDArray[np.bool_],
@@ -341,10 +332,7 @@ def _motion(
             _part(s.HITCH, moving, np.zeros(moving.size), HITCH_FLOOR**2 + levels.hitch**2 * (rate1 + rate2))
         )
     if wheel is not None:
-        k = np.arange(0, nodes.shape[0], EVERY_WHEEL)
-        k = k[~still[k] & np.isfinite(wheel.speed[k])]
-        doubt = wheel.sd[k] / max(float(np.median(wheel.sd[k])), 1e-9) if k.size else wheel.sd[k]
-        parts.append(_part(s.WHEEL, k, wheel.speed[k], (levels.wheel * doubt) ** 2))
+        parts.append(_part(s.WHEEL, *wheel.measured(still, levels.wheel)))
     return parts
 
 
