@@ -40,7 +40,6 @@ RC: dict[str, Any] = {
     "axes.edgecolor": style.MUTED, "axes.labelcolor": style.INK, "text.color": style.INK,
     "xtick.color": style.MUTED, "ytick.color": style.MUTED, "xtick.labelsize": 7.5, "ytick.labelsize": 7.5,
     "xtick.major.width": 0.6, "ytick.major.width": 0.6, "axes.spines.top": False, "axes.spines.right": False,
-    "axes.grid": True, "grid.color": style.GRID, "grid.linewidth": 0.5, "axes.axisbelow": True,
     "lines.linewidth": 1.3, "legend.frameon": False, "legend.fontsize": 7.5, "svg.fonttype": "none",
     "pdf.fonttype": 42, "axes.unicode_minus": True, "path.simplify": True, "figure.dpi": 72.0,
 }  # fmt: skip
@@ -68,12 +67,12 @@ def draw(chart: Chart) -> Figure:
         for index, panel in enumerate(chart.panels):
             axes = figure.add_axes(_frame(index, len(chart.panels), height))
             _draw_panel(axes, chart, panel)
-            if index == len(chart.panels) - 1:
-                axes.set_xlabel(chart.x_label)
-            else:
-                axes.tick_params(labelbottom=False)
         if not chart.to_scale:
             _share_x(figure)
+        for axes in figure.axes:
+            axes.apply_aspect()
+            _rule(axes, height, labelled=axes is figure.axes[-1])
+        figure.axes[-1].set_xlabel(chart.x_label)
     return figure
 
 
@@ -114,6 +113,59 @@ def _draw_panel(axes: Axes, chart: Chart, panel: Panel) -> None:
         handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=6, borderaxespad=0.1,
         handlelength=1.8, columnspacing=1.2,
     )  # fmt: skip
+
+
+def _rule(axes: Axes, height: float, labelled: bool) -> None:
+    """Grid, ticks and their labels, at the places that matplotlib chooses for them.
+
+    A tick of its own is three lines and two texts; here all of an axis are two lines and a text each, which
+    halves the time of a figure.
+
+    height : of the figure, mm; labelled : whether the x axis bears its labels
+    """
+    box = axes.get_position()
+    across, up = WIDTH_MM * box.width, box.height * height  # mm
+    for axis, length in ((axes.xaxis, up), (axes.yaxis, across)):
+        upright = axis is axes.xaxis
+        low, high = axis.get_view_interval()
+        room = 1e-9 * (high - low)
+        at = [float(v) for v in axis.get_majorticklocs() if low - room <= v <= high + room]
+        formatter = axis.get_major_formatter()
+        words = formatter.format_ticks(at) if labelled or not upright else []
+        axis.set_major_locator(NullLocator())
+        _line_up(axes, at, (0.0, 1.0), upright, color=style.GRID, linewidth=0.5, zorder=0.6)
+        _line_up(axes, at, (0.0, -TICK_MM / length), upright, color=style.MUTED, linewidth=0.6, clip_on=False)
+        _label(axes, at, words, -2.0 * TICK_MM / length, upright)
+        if words and formatter.get_offset():
+            axes.annotate(
+                formatter.get_offset(), (1.0, 0.0) if upright else (0.0, 1.0), xycoords="axes fraction"
+            )
+    axes.xaxis.set_label_coords(0.5, -X_LABEL_MM / up)
+    axes.yaxis.set_label_coords(-Y_LABEL_MM / across, 0.5)
+
+
+TICK_MM, X_LABEL_MM, Y_LABEL_MM = 1.24, 6.5, 13.0  # length of a tick; where axes have their labels
+
+
+def _across(axes: Axes, upright: bool) -> Transform:
+    """Data along one axis, the other in fractions of the axes."""
+    return axes.get_xaxis_transform() if upright else axes.get_yaxis_transform()
+
+
+def _line_up(axes: Axes, at: Sequence[float], ends: tuple[float, float], upright: bool, **look: Any) -> None:
+    """A stroke at each place of an axis, as one broken line."""
+    along, over = np.repeat(at, 3), np.tile([*ends, np.nan], len(at))
+    x, y = (along, over) if upright else (over, along)
+    axes.add_artist(Line2D(x, y, transform=_across(axes, upright), solid_capstyle="butt", **look))
+
+
+def _label(axes: Axes, at: Sequence[float], words: Sequence[str], off: float, upright: bool) -> None:
+    ha, va = ("center", "top") if upright else ("right", "center_baseline")
+    for value, text in zip(at, words, strict=False):
+        x, y = (value, off) if upright else (off, value)
+        axes.add_artist(
+            Text(x, y, text, transform=_across(axes, upright), ha=ha, va=va, size=7.5, color=style.MUTED)
+        )
 
 
 def _plain_powers(axis: Axis) -> None:

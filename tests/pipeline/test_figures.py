@@ -11,7 +11,10 @@ from xml.etree import ElementTree
 import matplotlib as mpl
 import numpy as np
 import pypdf
+import pytest
 from fpdf import FPDF
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
 from smts_validate.pipeline import figures, figures_pdf, figures_svg
 from smts_validate.pipeline import figures_style as style
 from smts_validate.pipeline.figures_marks import Drawing, Ink, Pen, Trace, Words
@@ -109,7 +112,12 @@ def _curves(path: Path) -> list[np.ndarray]:
     found = []
     for element in ElementTree.parse(path).getroot().iter(f"{SVG}path"):
         steps = re.findall(r"([MLl]) ?(\S+?) (-?[\d.]+)", element.attrib["d"])
-        if len(steps) > 10 and "fill:none" in element.attrib.get("style", "").replace(" ", ""):
+        starts = sum(letter == "M" for letter, _, _ in steps)
+        if (
+            len(steps) > 10
+            and starts == 1
+            and "fill:none" in element.attrib.get("style", "").replace(" ", "")
+        ):
             points = np.array([(float(x), float(y)) for _, x, y in steps])
             relative = np.array([letter == "l" for letter, _, _ in steps])
             found.append(np.cumsum(points, axis=0) if relative[1:].all() else points)
@@ -222,6 +230,33 @@ def test_map_is_drawn_to_scale() -> None:
     figures.record(figure)  # the aspect is settled when drawing
     corner, unit = axes.transData.transform([(0.0, 0.0), (1.0, 1.0)])
     assert np.isclose(*(unit - corner), rtol=1e-3)
+
+
+@pytest.mark.parametrize("scale", [1.0, 123.0, 3e-8])
+def test_ticks_stand_and_read_as_matplotlibs_own(scale: float) -> None:
+    x = np.linspace(0.0, 97.0, 200)
+    panel = Panel("y, m", (Curve("c", "measured", x, scale * np.sin(x)),))
+    with mpl.rc_context(figures.RC):
+        (axes,) = figures.draw(Chart("k", "t", "c", "a", "x, m", (panel,))).axes
+        plain = Figure(figsize=axes.get_figure().get_size_inches())
+        expected = plain.add_axes(axes.get_position())
+        expected.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())
+        plain.draw_without_rendering()
+        inside = [
+            (label.get_text(), round(place / scale_of, 9))
+            for axis, scale_of in ((expected.xaxis, 1.0), (expected.yaxis, scale))
+            for label, place in zip(axis.get_ticklabels(), axis.get_ticklocs(), strict=True)
+            if axis.get_view_interval()[0] <= place <= axis.get_view_interval()[1]
+        ]
+        offsets = {axis.get_offset_text().get_text() for axis in (expected.xaxis, expected.yaxis)} - {""}
+    ours = [artist for artist in axes.texts if not isinstance(artist, Annotation)]
+    drawn = [
+        (text.get_text(), round(x, 9) if text.get_ha() == "center" else round(y / scale, 9))
+        for text in ours
+        for x, y in [text.get_position()]
+    ]
+    assert drawn == inside
+    assert {artist.get_text() for artist in axes.texts if isinstance(artist, Annotation)} == offsets
 
 
 def test_panels_share_their_distance_axis() -> None:
