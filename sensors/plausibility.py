@@ -1,4 +1,7 @@
-"""Do the readings fit the manifest? Gravity against mounting, spin against speed, clock against clock."""
+"""Do the readings fit the manifest? Gravity against mounting, spin against speed, clock against clock.
+
+Where they do not, the likely cause is told: what in run.toml would make them fit.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from .manifest import GRAVITY, Imd, Machine, Manifest, Wds
+from .formats.speed_csv import SPEED_UNITS, TURN_UNITS
+from .manifest import GRAVITY, Imd, Machine, Manifest, Speed, Wds
 from .mounting import rotation_matrix, to_body
-from .streams import Floats, GnssStream, ImuStream, Stream
+from .streams import Floats, GnssStream, ImuStream, SpeedStream, SteerStream, Stream
 
 TILTED = 20.0  # deg: no slope, so a wrong mounting
 MISMATCH = 0.15  # of gravity or of a wheel's radius
@@ -24,6 +28,8 @@ FARTHEST = 1.0  # s: larger offsets between clocks are not looked for
 ALIKE = 0.8  # correlation from which an offset means something
 OFF = 0.15  # s: a worse offset between two streams is worth telling
 OFF_GNSS = 0.3  # s: nothing that a receiver's unknown latency explains
+STEERED = 0.02  # rad/s: a pass that turns less says nothing of the steering sensor
+STEER_FACTOR = 2.0  # by which a steering angle may differ from what the turning needs
 DEGREES = 180.0 / np.pi
 UPRIGHT = ((0, 0), (180, 0), (90, 0), (-90, 0), (0, 90), (0, -90))  # roll, pitch
 
@@ -46,6 +52,10 @@ def findings(manifest: Manifest, streams: Mapping[str, Stream]) -> dict[str, Fin
                 found[name] = _joined(_gravity(stream, sensor), _same_body(manifest, streams, name))
             elif isinstance(sensor, Wds):
                 found[name] = _wheel(stream, sensor, manifest.machine, streams)
+        elif isinstance(stream, SpeedStream) and isinstance(sensor, Speed) and stream.t.size > 1:
+            found[name] = _speed(stream, sensor, manifest.machine, streams)
+        elif isinstance(stream, SteerStream) and stream.t.size > 1:
+            found[name] = _steering(manifest, stream, streams)
     return found | _latency(manifest, found)
 
 
@@ -53,7 +63,8 @@ def _latency(manifest: Manifest, found: Mapping[str, Finding]) -> dict[str, Find
     """The receiver's least latency that makes wheels' spin and speed over ground agree in time."""
     name, receiver = next(iter(manifest.of_kind("gps").items()))
     checks = [finding.facts.get("clock_check", {}) for finding in found.values()]
-    late = [c["offset_s"] for c in checks if c.get("against") == "gps" and c["correlation"] > ALIKE]
+    spun = [c for c in checks if c.get("by") == "spin"]  # a bus's speed is late itself
+    late = [c["offset_s"] for c in spun if c["correlation"] > ALIKE]
     if not late:
         return {}
     return {name: Finding({"latency_by_wheels_s": float(receiver.latency - np.median(late))})}
@@ -204,6 +215,73 @@ def _rolling(t: Floats, spin: Floats, sensor: Wds, machine: Machine, gnss: GnssS
     stated = tractor.front_wheel_radius if sensor.wheel.startswith("front") else tractor.rear_wheel_radius
     part = _offset("gps", "spin", t, np.abs(spin), at, speed, OFF_GNSS)
     return _joined(Finding({"rolling_radius_m": radius}, _radius_hints(radius, stated)), part)
+
+
+def _speed(stream: SpeedStream, sensor: Speed, machine: Machine, streams: Mapping[str, Stream]) -> Finding:
+    """A bus's speed against the speed over ground: their ratio, and by how much it is late."""
+    gnss = next((s for s in streams.values() if isinstance(s, GnssStream)), None)
+    if gnss is None:
+        return Finding({})
+    known = np.isfinite(gnss.speed) & (gnss.t > stream.t[0]) & (gnss.t < stream.t[-1])
+    at, speed = gnss.t[known], gnss.speed[known]
+    told = np.abs(np.interp(at, stream.t, stream.speed))
+    driving = (speed > DRIVING) & (told > 0.0)
+    if np.count_nonzero(driving) < 20:
+        return Finding({})
+    ratio = float(np.median(told[driving] / speed[driving]))
+    part = _offset("gps", "speed", stream.t, np.abs(stream.speed), at, speed, OFF_GNSS)
+    return _joined(Finding({"speed_ratio": ratio}, _speed_hints(ratio, sensor, machine)), part)
+
+
+def _speed_hints(ratio: float, sensor: Speed, machine: Machine) -> tuple[str, ...]:
+    """The unit that would make a speed fit. ratio : of what was read, in the stated unit, to the true speed."""
+    if abs(ratio - 1.0) < MISMATCH:
+        return ()
+    front = sensor.wheel is not None and sensor.wheel.startswith("front")
+    radius = machine.tractor.front_wheel_radius if front else machine.tractor.rear_wheel_radius
+    sizes = SPEED_UNITS | {unit: size * radius for unit, size in TURN_UNITS.items()}
+    fits = {unit: abs(sizes[sensor.units.speed] / ratio / size - 1.0) for unit, size in sizes.items()}
+    best = min(fits, key=lambda unit: fits[unit])
+    if fits[best] < MISMATCH:
+        return (f'its speeds look like {best}, not {sensor.units.speed}: set units = {{ speed = "{best}" }}',)
+    return (f"it reads {ratio:.2f} times the speed over ground: check its column, units and wheel",)
+
+
+def _steering(manifest: Manifest, stream: SteerStream, streams: Mapping[str, Stream]) -> Finding:
+    """The steering angle against the turning that it explains, yaw rate = speed·angle/wheelbase."""
+    gnss = next((s for s in streams.values() if isinstance(s, GnssStream)), None)
+    units: dict[str, Imd] = manifest.of_kind("imd")
+    name = next(key for key, imd in units.items() if imd.body == "tractor")
+    unit = streams.get(name)
+    known = np.isfinite(gnss.speed) if gnss is not None else np.zeros(0, dtype=np.bool_)
+    if gnss is None or known.sum() < 20 or not isinstance(unit, ImuStream) or unit.t.size < 2:
+        return Finding({})
+    tractor = manifest.machine.tractor
+    speed = np.interp(stream.t, gnss.t[known], gnss.speed[known])
+    expected = speed * stream.angle / (tractor.front_axle + tractor.rear_axle)
+    turning = to_body(unit, units[name])[1][:, 2]
+    there = np.interp(stream.t, unit.t, turning)
+    if there.std() < STEERED:
+        return Finding({"steering_ratio": None})
+    part = _offset(name, "steering", stream.t, expected, unit.t, turning, OFF_GNSS)
+    alike = float(part.facts["clock_check"]["correlation"])
+    if abs(alike) < ALIKE:
+        return part
+    ratio = float(expected.std() / there.std())
+    if alike < 0.0:
+        part = Finding(part.facts, ("its angle is opposite to the turning: it must be positive to the left",))
+    return _joined(part, Finding({"steering_ratio": ratio}, _steer_hints(ratio)))
+
+
+def _steer_hints(ratio: float) -> tuple[str, ...]:
+    if abs(ratio / DEGREES - 1.0) < LIKENESS:
+        return ('its angles look like degrees: set units = { angle = "deg" }',)
+    if abs(ratio * DEGREES - 1.0) < LIKENESS:
+        return ('its angles look like radians: remove angle = "deg" from units',)
+    if not 1.0 / STEER_FACTOR < ratio < STEER_FACTOR:
+        what = f"its angle is {ratio:.2g} times what the turning needs"
+        return (f"{what}: perhaps the steering wheel's or one sensor's, not the front wheels'",)
+    return ()
 
 
 def _radius_hints(radius: float, stated: float) -> tuple[str, ...]:

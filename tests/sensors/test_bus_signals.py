@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from raw_samples import START, Plan, write_pass
+from raw_samples import MANIFEST, START, Plan, write_pass
+from smts_validate.sensors import manifest
 from smts_validate.sensors.formats import speed_csv, steer_csv
 from smts_validate.sensors.ingest import IngestError, read_pass
 from smts_validate.sensors.log import read_log, write_log
 from smts_validate.sensors.manifest import ManifestError, Speed, Steer
+from smts_validate.sensors.plausibility import Finding, findings
 from smts_validate.sensors.raw import RawError
-from smts_validate.sensors.streams import FieldLog, SpeedStream, SteerStream
+from smts_validate.sensors.streams import FieldLog, GnssStream, ImuStream, SpeedStream, SteerStream
 
 DATE = dt.date(2025, 5, 14)
 LATE = 0.004  # s, of an arrival on the bus
@@ -138,3 +140,75 @@ def test_degrees_taken_for_radians_are_told_of(tmp_path: Path) -> None:
     )
     with pytest.raises(RawError, match=r'taken as rad; units = \{ angle = "deg" \}'):
         steer_csv.read(tmp_path / "a.csv", Steer(kind="steer", file="a.csv", rate=1.0), "a", DATE)
+
+
+# --- what the readings say of the manifest ---
+
+WEAVE = np.arange(0.0, 60.0, 0.02)
+SPEED = 2.5 + 0.8 * np.sin(WEAVE / 5.0)
+ANGLE = 0.12 * np.sin(WEAVE / 2.0)
+BASE = 1.45 + 1.15  # of MANIFEST's tractor
+
+
+def told(kind: str, keys: str, values: np.ndarray, late: float = 0.0) -> Finding:
+    """What is found of a bus's signal beside a machine that weaves and changes its speed."""
+    rest = f'[sensors.bus]\nkind = "{kind}"\nfile = "a.csv"\nrate = 50.0\n{keys}\n'
+    run = manifest.parse(MANIFEST.format(id="x", imd1="", rest=rest))
+    utc, zeros = WEAVE[::5], np.zeros(WEAVE.size)
+    arrays = dict.fromkeys(GnssStream.ARRAYS, np.zeros(utc.size)) | {"speed": SPEED[::5]}
+    turning = np.column_stack([zeros, zeros, SPEED * np.tan(ANGLE) / BASE])
+    made = SpeedStream if kind == "speed" else SteerStream
+    streams = {
+        "imd1": ImuStream("imd1", WEAVE, WEAVE, np.tile([0.0, 0.0, 9.81], (WEAVE.size, 1)), turning),
+        "gps": GnssStream("gps", utc, utc + 0.1, **arrays),
+        "bus": made("bus", WEAVE + late, WEAVE + late, values),
+    }
+    return findings(run, streams)["bus"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "factor", "hint"),
+    [
+        ("", 1.0, None),
+        ("", 1.05, None),  # a radius
+        ("", 3.6, "look like km/h, not m/s"),
+        ('units = { speed = "km/h" }', 1 / 3.6, "look like m/s, not km/h"),
+        ("", 1000.0, "look like mm/s"),
+        ("", 1 / 0.44704, "look like mph"),
+        ("", 1 / 0.8, "look like rad/s"),  # of the rear wheel, 0.8 m
+        ('wheel = "front_left"', 1 / 0.62, "look like rad/s"),
+        ("", 60 / (2 * np.pi * 0.8), "look like rpm"),
+        ("", 6.0, "reads 6.00 times the speed over ground"),
+    ],
+)
+def test_a_speed_in_another_unit_is_named(keys: str, factor: float, hint: str | None) -> None:
+    found = told("speed", keys, factor * SPEED)
+    assert found.facts["speed_ratio"] == pytest.approx(factor, rel=0.01)
+    assert (hint is None) == (found.hints == ())
+    assert hint is None or hint in found.hints[0]
+
+
+@pytest.mark.parametrize(
+    ("keys", "factor", "hint"),
+    [
+        ("", 1.0, None),
+        ("", 180.0 / np.pi, 'set units = { angle = "deg" }'),
+        ('units = { angle = "deg" }', np.pi / 180.0, 'remove angle = "deg"'),
+        ("", -1.0, "must be positive to the left"),
+        ("", 17.0, "perhaps the steering wheel's"),
+    ],
+)
+def test_a_steering_angle_that_does_not_explain_the_turning_is_named(
+    keys: str, factor: float, hint: str | None
+) -> None:
+    found = told("steer", keys, factor * ANGLE)
+    assert found.facts["steering_ratio"] == pytest.approx(abs(factor), rel=0.05)
+    assert (hint is None) == (found.hints == ())
+    assert hint is None or hint in found.hints[0]
+
+
+@pytest.mark.parametrize(("kind", "values"), [("speed", SPEED), ("steer", ANGLE)])
+def test_a_late_signal_of_the_bus_is_seen_and_told_of(kind: str, values: np.ndarray) -> None:
+    found = told(kind, "", values, late=0.4)
+    assert found.facts["clock_check"]["offset_s"] == pytest.approx(0.4, abs=0.02)
+    assert any("0.40 s after" in hint and "check the clocks" in hint for hint in found.hints)
