@@ -218,7 +218,7 @@ def pass_statistics(
     rows: Sequence[RowComparison], names: Sequence[str], motion: Motion, manifest: Manifest
 ) -> PassStatistics:
     """What the verdict needs of a pass: its rows pooled, every response."""
-    free = [f.alignment.chi2_free <= bound(f.alignment.theta.size) for r in rows for f in r.fits]
+    free = [f.chi2 <= bound(f.alignment.theta.size) for r in rows for f in r.fits]
     return PassStatistics(
         **run_labels(manifest),
         responses={name: response_statistics(rows, name) for name in names},

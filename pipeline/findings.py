@@ -290,7 +290,7 @@ def alignment_values(comparison: Comparison) -> dict[str, Any]:
             "offset": float(fit.alignment.theta[0]),
             "heading_deg": float(np.rad2deg(fit.alignment.theta[1])),
             "steer_deg": float(np.rad2deg(fit.alignment.theta[2])) if fit.alignment.theta.size > 2 else None,
-            "chi2": fit.alignment.chi2_free,
+            "chi2": fit.chi2,
             "prior_weight": fit.alignment.weight,
         }
         for row in comparison.rows

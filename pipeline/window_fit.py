@@ -26,6 +26,7 @@ from .replay import (
     initial_states,
     run_windows,
     shifted,
+    steering_prior_variance,
     window_prior,
 )  # fmt: skip
 from .replay_settings import ReplaySettings
@@ -58,6 +59,7 @@ class Context:
 class WindowFit:
     """One window: stacked arrays (N,) over its points, response by response.
 
+    chi2 : of the alignment before its prior was raised, see `chi2_of_row`
     about : θ where the sensitivity was taken: nothing, or where one linear step did not get far enough
     start : residual with the state from the smoother and nothing moved; bounded : after the bounded
     alignment (run
@@ -71,6 +73,7 @@ class WindowFit:
     about: Floats
     sensitivity: Floats
     alignment: Alignment
+    chi2: float
     start: Floats
     bounded: Floats
     free: Floats
@@ -116,6 +119,7 @@ def fit_windows(context: Context, horizon: float, fine: bool) -> tuple[WindowFit
     nominal = nominal_run(context, drive, windows)
     start = residuals(nominal, parts, context)
     stands, final = _settled(context, drive, windows, parts, nominal, start)
+    chi2 = chi2_of_row(context, stands)
     return tuple(
         WindowFit(
             window=w,
@@ -124,6 +128,7 @@ def fit_windows(context: Context, horizon: float, fine: bool) -> tuple[WindowFit
             about=stands[i].about,
             sensitivity=stands[i].slope,
             alignment=stands[i].alignment,
+            chi2=chi2[i],
             start=start[i],
             bounded=stands[i].residual,
             free=_free(context, w, parts[i], start[i], stands[i].slope),
@@ -212,6 +217,37 @@ def _again(stand: Stand, slope: Floats) -> Stand:
 def _sum(stand: Stand, residual: Floats, theta: Floats) -> float:
     """The sum that the alignment makes small: Σ rᵀS⁻¹r + θᵀP₀⁻¹θ."""
     return float(stand.weights @ residual**2 + theta @ np.linalg.solve(stand.prior, theta))
+
+
+def chi2_of_row(context: Context, stands: Sequence[Stand]) -> list[float]:
+    """Each window's χ² before its prior was raised: about nothing moved, or about the row's own steering
+    zero where that is larger.
+
+    A zero is one for a row, so about it (mean of the windows', weighted) a window may move by the slow
+    steering error alone. Else a zero stated with a large doubt would let every window choose its own.
+    """
+    own = [s.alignment.chi2_free for s in stands]
+    steer = context.motion.steer_input
+    if steer is None or len(stands) < 2:
+        return own
+    slow = steering_prior_variance(steer, context.settings) - steer.zero_sd**2
+    found = np.array([s.alignment.theta[STEER] for s in stands])
+    spread = np.array([slow + _variance(s)[STEER, STEER] for s in stands])
+    variance = 1.0 / float(np.sum(1.0 / spread))
+    zero = np.array([0.0, 0.0, variance * float(np.sum(found / spread))])
+    about = []
+    for stand in stands:
+        prior = stand.prior.copy()
+        prior[STEER, STEER] += variance - steer.zero_sd**2
+        residual = stand.residual + stand.slope @ (zero - stand.alignment.theta)
+        about.append(align(residual, stand.slope, stand.weights, prior).chi2_free)
+    return [max(pair) for pair in zip(own, about, strict=True)]
+
+
+def _variance(stand: Stand) -> Floats:
+    """(P, P) covariance that θ is known with."""
+    information = (stand.slope.T * stand.weights) @ stand.slope
+    return np.asarray(np.linalg.inv(information + stand.alignment.weight * np.linalg.inv(stand.prior)))
 
 
 def coarse(drive: Drive) -> Drive:

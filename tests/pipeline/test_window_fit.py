@@ -98,6 +98,22 @@ def test_a_wrong_model_stays_as_wrong_whatever_the_zero(zero: float) -> None:
         assert found.responses[name].d == pytest.approx(one.d, rel=0.03)
 
 
+@pytest.mark.parametrize("step", [1.0, 2.7])
+def test_a_zero_that_jumps_within_the_row_is_absorbed_however_large_its_stated_doubt(step: float) -> None:
+    # One doubtful zero is one number a row: windows that need different ones need more than is known.
+    motion = off(0.0, 2.7)
+    assert motion.steer_input is not None
+    later = np.arange(motion.t.size) >= compared().rows[0].fits[3].window.start
+    jumped = replace(motion.steer_input, angle=motion.steer_input.angle + np.deg2rad(step) * later)
+    found = compare(replace(motion, steer_input=jumped), machine(), manifest_of())
+    assert found.statistics is not None
+    assert found.statistics.windows_within < 0.2
+    assert judge_pass(found.statistics).codes == ("alignment",)
+    still = compared(0.0, 2.7).statistics
+    assert still is not None
+    assert still.windows_within == 1.0
+
+
 def parts_of_sum(found: Comparison, fit: WindowFit) -> tuple[Floats, Floats]:
     context = found.rows[0].context
     prior = window_prior(context.motion, fit.window, found.rows[0].row, context.settings)
