@@ -197,7 +197,7 @@ def step_left(stand: Stand) -> float:
     theta = stand.alignment.theta
     missed = stand.residual - stand.base - stand.slope @ (theta - stand.about)
     step = stand.alignment.gain @ missed
-    return float(np.sqrt(max(step @ ((stand.slope.T * stand.weights) @ missed), 0.0)))
+    return float(np.sqrt(max(float(step @ ((stand.slope.T * stand.weights) @ missed)), 0.0)))
 
 
 def _again(stand: Stand, slope: Floats) -> Stand:
