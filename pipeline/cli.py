@@ -16,6 +16,8 @@ from typing import Any, TypeVar
 
 import click
 
+from .garbage import seldom_collected
+
 FAILED = 1
 WRONG_USE = 2
 NOT_ADEQUATE = 3
@@ -343,7 +345,8 @@ def plan(
 def main() -> None:
     """Entry point of `smts-validate`: an error is one line on stderr and an exit status."""
     try:
-        sys.exit(app.main(prog_name="smts-validate", standalone_mode=False))
+        with seldom_collected():
+            sys.exit(app.main(prog_name="smts-validate", standalone_mode=False))
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.ctx.get_help() if error.ctx else "", err=True)
         sys.exit(WRONG_USE)

@@ -16,6 +16,7 @@ from . import findings
 from .adequacy import judge_pass
 from .compare import compare
 from .fusion.fuse import fuse
+from .garbage import seldom_collected
 from .report import finish, sections_of, write_figures
 from .result import FIGURES, PassResult, read_result, write_result
 from .run_settings import RunSettings, with_engine
@@ -82,6 +83,7 @@ def provenance(log: FieldLog, settings: RunSettings) -> dict[str, Any]:
     }
 
 
+@seldom_collected()
 def compute(
     source: Path,
     out: Path,
