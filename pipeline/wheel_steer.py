@@ -9,6 +9,7 @@ kinematics of the body enters.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -277,6 +278,10 @@ def sensor_angle(t: Floats, angle: Floats, noise_sd: float, grid_t: Floats) -> t
     [s].
 
     noise_sd : rad, stated for a sample; the series' own noise is used where it shows more
+
+    A random walk's smoother with memory s weighs samples by exp(−|t|/s): it leaves noise/(4·rate·s) of the noise. Its
+    own variance is twice that, for it expects the angle to walk at random; a steered wheel turns smoothly, so in place
+    of the other half stands what the kernel rounds off.
     """
     good = trusted(angle, np.array([np.inf]))
     fitted, walk = fit_walk(t[good], angle[good])
@@ -284,8 +289,24 @@ def sensor_angle(t: Floats, angle: Floats, noise_sd: float, grid_t: Floats) -> t
     walk = max(walk, 1.0e-12)
     model = Walk(walk * np.diff(t), np.where(good, noise, np.inf))
     seen = smooth((angle - angle[0])[:, None], model)
+    smoothed = seen.columns[:, 0] + angle[0]
+    memory = float(np.sqrt(noise / per_second(t) / walk))
+    left = noise / (4.0 * per_second(t) * max(memory, 0.25 / per_second(t)))
     after = np.clip(np.searchsorted(t, grid_t), 1, t.size - 1)
     away = np.minimum(np.abs(t[after] - grid_t), np.abs(grid_t - t[after - 1]))
-    variance = np.interp(grid_t, t, seen.variance) + walk * away
-    smoothing = float(np.sqrt(noise / per_second(t) / walk))
-    return np.interp(grid_t, t, seen.columns[:, 0]) + angle[0], np.sqrt(variance), smoothing
+    lost = walk * np.maximum(away - 1.0 / per_second(t), 0.0)
+    variance = left + _rounding(smoothed[good], 1.0 / per_second(t), memory, left) ** 2 + lost
+    return np.interp(grid_t, t, smoothed), np.sqrt(variance), memory
+
+
+def _rounding(angle: Floats, dt: float, memory: float, noise: float) -> float:
+    """How much smoothing rounds off an angle, rad: a kernel exp(−|t|/memory) errs by memory² times the curvature.
+
+    noise : rad², left in the angle: its share of the second differences (six times it) is none of the curvature's
+    """
+    size = max(round(0.1 / dt), 1)
+    if angle.size <= 2 * size:
+        return 0.0
+    curvature = (angle[2 * size :] - 2.0 * angle[size:-size] + angle[: -2 * size]) / (size * dt) ** 2
+    own = float(np.mean(curvature**2)) - 6.0 * noise / (size * dt) ** 4
+    return memory**2 * math.sqrt(max(own, 0.0))

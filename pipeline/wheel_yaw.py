@@ -86,7 +86,7 @@ def estimate_yaw_rate(unit: Unit, phase: Phase, doubt: Doubt) -> YawRate:
     size = CLUSTER * per_second(unit.t)
     yaw = smooth(np.column_stack([back.real, columns.real, swings, blank]), level, size)
     seen = unit.across_ok & unit.carried if unit.carrier is not None else unit.across_ok
-    rolling = _model(unit, clean.imag - _fit(swings, clean.imag), phase.rest, seen)[0]
+    rolling, noise_of_roll, _ = _model(unit, clean.imag - _fit(swings, clean.imag), phase.rest, seen)
     roll = smooth(np.column_stack([back.imag, columns.imag, blank, swings]), rolling, size)
     shares = swings.shape[1]
     prior = np.repeat([doubt.gyro_bias, doubt.tilt, doubt.tilt, SHARE], [2, 2, shares, shares])
@@ -95,7 +95,8 @@ def estimate_yaw_rate(unit: Unit, phase: Phase, doubt: Doubt) -> YawRate:
     rate, variance = signal(yaw, constants)
     raw = back.real - np.hstack([columns.real, swings]) @ constants.value[: 4 + shares]
     dt = np.diff(unit.t)
-    grown = dt * float(np.median(dt)) * noise[1:] + bridged(unit.t, unit.across_ok, walk)
+    own = np.minimum(noise, noise_of_roll)  # both gyros turn through both: what one has more of is motion
+    grown = dt * float(np.median(dt)) * own[1:] + bridged(unit.t, unit.across_ok, walk)
     grown = grown + dt * _constants_walk(unit.t, np.hstack([columns.real, swings]), constants)[1:]
     return YawRate(
         rate=rate,

@@ -24,7 +24,7 @@ from .motion import Motion, SteerInput
 from .prepare import STEP
 from .problem import Problem
 from .settings import FusionSettings, Levels
-from .steering import best_steering
+from .steering import Steering, best_steering
 
 Floats = NDArray[np.float64]
 
@@ -71,16 +71,16 @@ def assemble(
     rng = np.random.default_rng(options.seed + 1)
     draws = output.body_draws(settled.errors, every, p, known.two is not None, crab, rng)
     given = choose_steer_input(known.log, t + lag, wheels)
-    steer, sd_steer = best_steering(
-        t, tractor, given, known.log.manifest.machine.tractor.front_axle, levels.beta1
-    )
-    given, told = with_honest_zero(given, steer)
+    bend = tractor.yaw - seeder.yaw if seeder is not None else np.zeros(t.size)
+    front = known.log.manifest.machine.tractor.front_axle
+    best = best_steering(t, tractor, given, front, levels.beta1, bend)
+    given, told = with_honest_zero(given, best.angle)
     consistency = assess(task.measurements, filtered)
     gnss_t = accepted_times(task, filtered)
     return Motion(
-        t=t, origin=known.origin, tractor=tractor, seeder=seeder, steer=steer, sd_steer=sd_steer, steer_input=given,
+        t=t, origin=known.origin, tractor=tractor, seeder=seeder, steer=best.angle, sd_steer=best.sd, steer_input=given,
         draw_t=draw_t, draws=draws, gnss_t=gnss_t, consistency=consistency,
-        consistent=all(c.consistent for c in consistency), noise=noise_table(known, levels, free, p),
+        consistent=all(c.consistent for c in consistency), noise=noise_table(known, levels, free, p) | front_slip(best),
         calibration=calibration(smooth.x[-1], filtered.P[-1], int(p[s.P_ACTIVE]), known, wheels),
         innovations=innovations(task.measurements, filtered, known.t - lag),
         warnings=warnings_of(known, gnss_t, t, consistency, jumps, wheels) + told,
@@ -189,6 +189,12 @@ def noise_table(known: Known, levels: Levels, free: tuple[str, ...], p: Floats) 
         )
     }
     return table
+
+
+def front_slip(best: Steering) -> dict[str, dict[str, Any]]:
+    """The front wheels' slip that the best steering angle was made with, and its source."""
+    source = "innovations" if best.learnt else "assumed: twice the rear wheels'"
+    return {"front_wheels": {"slip": {"value": best.slip, "unit": "rad", "source": source}}}
 
 
 def with_honest_zero(given: SteerInput | None, steer: Floats) -> tuple[SteerInput | None, tuple[Warn, ...]]:

@@ -5,8 +5,12 @@ Only `Motion.steer` may see this; the replay is driven by `steer_input`, which k
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from . import settings as physics
 from .motion import BodyMotion, SteerInput
@@ -15,9 +19,85 @@ Floats = NDArray[np.float64]
 
 EVERY = 25  # nodes: 2 Hz is enough for what is slow
 SLOWEST = 0.7  # m/s: no kinematic angle below
-FRONT_SLIP = 0.003  # rad: least standard deviation of the front wheels' slip angle
+FRONT_SHARE = (
+    2.0  # front over rear slip angle: front tyres are about half as stiff, and it is they that steer
+)
+LEAST_SLIP = 0.001  # rad: of any tyre on soil
 FRONT_TIME = 1.0  # s, correlation of the front wheels' slip
-WHITE = 0.003  # rad, of a kinematic angle at one instant
+FRONT_DRAG = 0.03  # rad/rad: 10 kN of draft over 2 · 60 kN/rad, times the hitch's overhang over the wheelbase
+CRAB = 0.1  # share of the slip that stays all along a row, unseen, as for the bodies
+WHITE = 0.0005  # rad, of a kinematic angle at one instant beside what the fusion states
+DOUBT = 3.0  # factor: one standard deviation of the slip's lognormal prior
+LEARNT_FROM, LEARNT_FROM_MOST = 30, 600  # samples at 2 Hz that the slip is learnt from
+
+
+@dataclass(frozen=True)
+class Steering:
+    """Best steering angle (N,) rad and its standard deviation; slip : rad, of the front wheels on a straight row,
+    and whether the innovations told it (else it is the prior)."""
+
+    angle: Floats
+    sd: Floats
+    slip: float
+    learnt: bool
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Model of z = given − path at 2 Hz as a sum of Gauss-Markov errors: (slow error, zero, slip, slip of a turn).
+
+    decay, drive : (M, 4) of the step that ends at each sample; start : (4,) variances; white : variance
+    """
+
+    decay: Floats
+    drive: Floats
+    start: Floats
+    white: float
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The given series less the path's angle at samples `dt` s apart, and how large each part of it may be.
+
+    z : (M,) rad, NaN where the path has none; slow, lateral, turn : (M,) rad, standard deviations of the given
+    series' slow error, of the slip that a lateral acceleration makes, and of a turn's; path : (M,) rad², of the path;
+    memory : s, of the slow error; zero : rad; fast : rad, white error of the given series
+    """
+
+    dt: float
+    z: Floats
+    slow: Floats
+    lateral: Floats
+    turn: Floats
+    path: Floats
+    memory: float
+    zero: float
+    fast: float
+
+    def errors(self, slip: float) -> Errors:
+        """The model where the front wheels slip by `slip` rad on a straight row."""
+        size = np.column_stack(
+            [
+                self.slow,
+                np.zeros(self.z.size),
+                np.sqrt((slip + self.lateral) ** 2 + self.path),
+                self.turn,
+            ]
+        )
+        decay = np.tile(
+            np.exp(-self.dt / np.array([self.memory, np.inf, FRONT_TIME, FRONT_TIME])), (self.z.size, 1)
+        )
+        decay[self.turn > 0.0, 3] = np.exp(-self.dt / physics.TAU_TURN)
+        start = size[0] ** 2 + [0.0, self.zero**2, 0.0, 0.0] + 1e-14
+        return Errors(decay, size**2 * (1.0 - decay**2) + 1e-14, start, WHITE**2 + self.fast**2)
+
+    def cut(self, first: int, last: int) -> Difference:
+        """Samples first to last alone."""
+        part = slice(first, last)
+        return replace(
+            self, z=self.z[part], slow=self.slow[part], lateral=self.lateral[part], turn=self.turn[part],
+            path=self.path[part],
+        )  # fmt: skip
 
 
 def kinematic_angle(body: BodyMotion, front_axle: float) -> Floats:
@@ -30,60 +110,99 @@ def kinematic_angle(body: BodyMotion, front_axle: float) -> Floats:
     return np.where(usable, np.arctan(across / np.where(usable, body.v, 1.0)), np.nan)
 
 
-def smooth_error(z: Floats, var: float, decay: Floats, drive: Floats, P0: Floats) -> tuple[Floats, Floats]:
-    """Rauch-Tung-Striebel smoother of (slow error, zero, slip) with z = slow error + zero + slip + white.
+def path_variance(body: BodyMotion, front_axle: float) -> Floats:
+    """Variance (N,), rad², of the kinematic angle by the body's stated covariance; the rear axle's slip is in it."""
+    C = body.covariance
+    across = C[:, 4, 4] + front_axle**2 * C[:, 5, 5] + 2.0 * front_axle * C[:, 4, 5]
+    return np.asarray(np.maximum(across, 0.0) / np.maximum(np.abs(body.v), SLOWEST) ** 2)
 
-    decay, drive : (N, 3) of the step that ends at each sample; z NaN where there is none.
-    Returns the mean and variance of slow error + zero, (N,) each.
-    """
-    n = z.size
-    m, P = np.zeros((n, 3)), np.zeros((n, 3, 3))
-    mp, Pp = np.zeros((n, 3)), np.zeros((n, 3, 3))
-    x, C = np.zeros(3), P0.copy()
+
+def turn_slip(body: BodyMotion, bend: Floats) -> Floats:
+    """Size (N,), rad, of the front wheels' slip that stays as long as a turn: by its acceleration and by a draft that
+    pulls aside where the combination is bent by `bend` (N,) rad. It has one sign all along, so it does not average."""
+    hard = np.maximum(np.abs(body.v * body.yaw_rate) - physics.TURN_FROM, 0.0)
+    return np.asarray(
+        physics.COMPLIANCE * hard + FRONT_DRAG * np.maximum(np.abs(bend) - physics.BEND_FROM, 0.0)
+    )
+
+
+def filtered(z: Floats, e: Errors) -> tuple[Floats, Floats, Floats, Floats, float]:
+    """Kalman filter of the errors through z (M,), NaN where there is none: means and covariances, filtered and
+    predicted, and the innovations' log-likelihood."""
+    n, size = z.size, e.start.size
+    m, P = np.zeros((n, size)), np.zeros((n, size, size))
+    mp, Pp = np.zeros((n, size)), np.zeros((n, size, size))
+    x, C, total = np.zeros(size), np.diag(e.start), 0.0
     for k in range(n):
         if k > 0:
-            x = decay[k] * x
-            C = C * np.outer(decay[k], decay[k]) + np.diag(drive[k])
+            x = e.decay[k] * x
+            C = C * np.outer(e.decay[k], e.decay[k]) + np.diag(e.drive[k])
         mp[k], Pp[k] = x, C
-        if not np.isnan(z[k]):
+        if not math.isnan(z[k]):
             g = C.sum(axis=1)
-            s = g.sum() + var
-            x = x + g * ((z[k] - x.sum()) / s)
+            s, left = g.sum() + e.white, z[k] - x.sum()
+            total -= 0.5 * (math.log(s) + left * left / s)
+            x = x + g * (left / s)
             C = C - np.outer(g, g) / s
         m[k], P[k] = x, C
-    for k in range(n - 2, -1, -1):
-        G = np.linalg.solve(Pp[k + 1], np.diag(decay[k + 1]) @ P[k]).T
+    return m, P, mp, Pp, float(total)
+
+
+def smooth_error(z: Floats, e: Errors) -> tuple[Floats, Floats]:
+    """Rauch-Tung-Striebel smoother of z = slow error + zero + slips + white, NaN where there is none.
+
+    Returns the mean and variance of slow error + zero, (M,) each.
+    """
+    m, P, mp, Pp, _ = filtered(z, e)
+    for k in range(z.size - 2, -1, -1):
+        G = np.linalg.solve(Pp[k + 1], np.diag(e.decay[k + 1]) @ P[k]).T
         m[k] = m[k] + G @ (m[k + 1] - mp[k + 1])
         P[k] = P[k] + G @ (P[k + 1] - Pp[k + 1]) @ G.T
     return m[:, 0] + m[:, 1], P[:, 0, 0] + P[:, 1, 1] + 2.0 * P[:, 0, 1]
 
 
+def learnt_slip(d: Difference, prior: float) -> tuple[float, bool]:
+    """Slip (rad) of the largest posterior under a lognormal prior about `prior`, and whether the data told it."""
+    seen = np.flatnonzero(np.isfinite(d.z))
+    if seen.size < LEARNT_FROM:
+        return prior, False
+    part = d.cut(int(seen[0]), min(int(seen[-1]) + 1, int(seen[0]) + LEARNT_FROM_MOST))
+
+    def loss(factor: float) -> float:
+        slip = prior * math.exp(factor)
+        return (factor / math.log(DOUBT)) ** 2 / 2.0 - filtered(part.z, part.errors(slip))[-1]
+
+    best = minimize_scalar(loss, bounds=(-3.0, 3.0), method="bounded", options={"xatol": 0.02})
+    return prior * math.exp(float(best.x)), True
+
+
 def best_steering(
-    t: Floats, body: BodyMotion, given: SteerInput | None, front_axle: float, beta: float
-) -> tuple[Floats, Floats]:
+    t: Floats, body: BodyMotion, given: SteerInput | None, front_axle: float, beta: float, bend: Floats
+) -> Steering:
     """Steering angle and its standard deviation, rad (N,), by everything; NaN where nothing is known.
 
     The given series errs by a zero, a slow Gauss-Markov error and a fast rest; the kinematic angle errs by the
-    front wheels' slip (a Gauss-Markov process of FRONT_TIME that grows with lateral acceleration).
+    front wheels' slip: a fast one, learnt from the two series' difference, and one that lasts as long as a turn.
+
+    beta : rad, slip angle of the rear wheels; bend : (N,) rad, articulation (zeros without a seeder)
     """
     path = kinematic_angle(body, front_axle)
-    slip = max(beta, FRONT_SLIP) + physics.COMPLIANCE * np.abs(body.v * body.yaw_rate)
+    lateral = physics.COMPLIANCE_FAST * np.abs(body.v * body.yaw_rate)
+    stated, turn = path_variance(body, front_axle), turn_slip(body, bend)
+    prior = max(FRONT_SHARE * beta, LEAST_SLIP)
     if given is None:
-        return path, np.where(np.isnan(path), np.nan, slip)
+        sd = np.sqrt((prior + lateral) ** 2 + stated + turn**2)
+        return Steering(path, np.where(np.isnan(path), np.nan, sd), prior, False)
     k = np.arange(0, t.size, EVERY)
     dt = EVERY * (t[1] - t[0]) if t.size > 1 else 1.0
-    tau = max(given.correlation_time, 1e-3)
-    slow = given.sd[k] if given.correlation_time > 5.0 * dt else np.zeros(k.size)
-    fast = np.zeros(t.size) if given.correlation_time > 5.0 * dt else given.sd
-    keep = np.array([np.exp(-dt / tau), 1.0, np.exp(-dt / FRONT_TIME)])
-    decay = np.tile(keep, (k.size, 1))
-    drive = np.column_stack(
-        [slow**2 * (1 - keep[0] ** 2) + 1e-14, np.full(k.size, 1e-14), slip[k] ** 2 * (1 - keep[2] ** 2)]
-    )
-    start = np.diag([max(slow[0], 1e-6) ** 2, given.zero_sd**2, slip[0] ** 2])
-    error, variance = smooth_error(
-        (given.angle - path)[k], WHITE**2 + float(np.mean(fast[k])) ** 2, decay, drive, start
-    )
+    lasting = given.correlation_time > 5.0 * dt
+    slow, fast = (given.sd, 0.0 * given.sd) if lasting else (0.0 * given.sd, given.sd)
+    apart = Difference(
+        dt, (given.angle - path)[k], slow[k], lateral[k], turn[k], stated[k], max(given.correlation_time, 1e-3),
+        given.zero_sd, float(np.mean(fast[k])),
+    )  # fmt: skip
+    slip, learnt = learnt_slip(apart, prior)
+    error, variance = smooth_error(apart.z, apart.errors(slip))
     best = given.angle - np.interp(t, t[k], error)
-    sd = np.sqrt(np.interp(t, t[k], variance) + fast**2 + (given.scale_sd * best) ** 2)
-    return best, sd
+    constant = (CRAB * slip) ** 2 + (given.scale_sd * best) ** 2
+    return Steering(best, np.sqrt(np.interp(t, t[k], variance) + fast**2 + constant), slip, learnt)
