@@ -15,6 +15,7 @@ from .problem import Epochs
 Floats = NDArray[np.float64]
 
 BASELINE = 4.0  # m of travel over which a course is taken
+ROUGH = 0.1  # m, of positions: differences over 1 s then err by what a machine creeps
 LAGS = np.arange(-10, 6) * 0.025  # s: latencies of 20 to 350 ms where 100 ms was assumed
 
 
@@ -34,6 +35,22 @@ def ground_speed(t: Floats, e: Epochs) -> Floats:
     away = np.minimum(np.abs(t - e.t[nearest - 1]), np.abs(t - e.t[nearest]))
     speed[away > 1.0] = np.nan
     return np.asarray(speed)
+
+
+def resting_speed(t: Floats, e: Epochs, speed: Floats) -> Floats:
+    """Speed (N,), m/s, that tells rest: `speed` of differenced positions, but where these are ROUGH, and at rest wander
+    by more than a creeping machine, the receiver's own over 1 s (Doppler); NaN where it states none."""
+    rough = (np.interp(t, e.t, e.sd) > ROUGH) & np.isfinite(speed)
+    if not rough.any():
+        return speed
+    known = np.isfinite(e.speed) if e.speed is not None else np.zeros(e.t.size, dtype=bool)
+    if e.speed is None or known.sum() < 4:
+        return np.where(rough, np.nan, speed)
+    size = max(round(1.0 / max(float(np.median(np.diff(e.t[known]))), 1e-3)), 1)
+    mean = np.convolve(
+        np.pad(e.speed[known], (size // 2, size - 1 - size // 2), mode="edge"), np.ones(size) / size, "valid"
+    )
+    return np.where(rough, np.interp(t, e.t[known], mean), speed)
 
 
 def heading_offset(t: Floats, turned: Floats, e: Epochs, forwards: Floats) -> float:

@@ -81,7 +81,7 @@ def prepare(log: FieldLog, wheels: Mapping[str, WheelMotion]) -> Known:
     speed = initial.ground_speed(t, epochs[0])
     spin = _mean_spin(t, wheels)
     rough = body_inputs(log, "tractor", point, t, np.zeros(t.size, dtype=bool))
-    still = standing(rough.node_rate, speed, spin)
+    still = standing(rough.node_rate, initial.resting_speed(t, epochs[0], speed), spin)
     one = body_inputs(log, "tractor", point, t, still)
     two = None
     if machine.seeder is not None:

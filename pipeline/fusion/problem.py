@@ -36,7 +36,10 @@ FIXED = (4.0,)
 
 @dataclass(frozen=True)
 class Epochs:
-    """Positions of one receiver in the plane: t (UTC), x, y, z, stated deviation, whether fixed, velocity or NaN."""
+    """Positions of one receiver in the plane: t (UTC), x, y, z, stated deviation, whether fixed, velocity or NaN.
+
+    speed : (N,) m/s, by the receiver's own statement, at rest too; NaN or None where it states none
+    """
 
     name: str
     body: str
@@ -51,6 +54,7 @@ class Epochs:
     vy: Floats
     heading: Floats
     stated: bool
+    speed: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ def epochs_of(log: FieldLog, origin: Origin) -> list[Epochs]:
                 np.isin(g.quality, FIXED)[ok],
                 np.where(moving, g.speed * np.cos(g.course), np.nan)[ok],
                 np.where(moving, g.speed * np.sin(g.course), np.nan)[ok],
-                g.heading[ok], stated,
+                g.heading[ok], stated, g.speed[ok],
             )
         )  # fmt: skip
     return out

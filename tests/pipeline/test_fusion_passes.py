@@ -11,11 +11,12 @@ import pytest
 from fusion_samples import Sample, changed, errors, make, rms, sample
 from smts_validate.pipeline.fusion.assemble import with_honest_zero
 from smts_validate.pipeline.fusion.fuse import fuse
-from smts_validate.pipeline.fusion.known import FusionError
+from smts_validate.pipeline.fusion.known import FusionError, prepare
 from smts_validate.pipeline.fusion.motion import Motion, SteerInput
 from smts_validate.pipeline.fusion.problem import Epochs, ground_slope
 from smts_validate.pipeline.fusion.settings import FusionSettings
 from smts_validate.pipeline.twin_plan import preset
+from smts_validate.pipeline.wheels import wheel_motions
 from smts_validate.sensors.geodesy import to_enu, to_geodetic
 from smts_validate.sensors.manifest import parse
 from smts_validate.sensors.mounting import to_body
@@ -186,6 +187,16 @@ def test_a_metre_level_receiver_says_that_it_knows_metres() -> None:
     assert np.median(sd) > 0.3
     assert rms(lateral / sd) < 2.5
     assert rms(errors(motion, of)["yaw1"][0]) < 1.5 * DEG
+
+
+def test_a_metre_level_receivers_rest_is_seen_with_and_without_wheels() -> None:
+    of = sample("metre_gps", 1)  # it stands for 5 s, while its positions wander by 0.1 to 0.5 m/s
+    for log in (of.log, on_body_axes(of.log)):
+        known = prepare(log, wheel_motions(log))
+        standing = of.truth[0, 0] + 4.5
+        assert known.bias is not None
+        assert known.still[known.t < standing].mean() > 0.8
+        assert not known.still[known.t > standing + 1.5].any()
 
 
 @pytest.mark.slow
