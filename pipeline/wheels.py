@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -41,6 +41,7 @@ LEAST_SAMPLES = 200  # two seconds: less says nothing of phase, bias and noise
 SHARE = 0.05  # of a unit's axis in a wheel's axis, from which its bad samples count there
 GAP = 0.06  # s, of the body's unit, that may be bridged by a line
 COVERAGE = 0.95  # share of the grid that a steering sensor covers to be preferred to the wheels
+QUIETEST = 0.03  # deg: noise of a steering sensor whose noise nobody states
 LEAST_COVERAGE = 0.5  # below, a series is none
 
 
@@ -98,6 +99,14 @@ class WheelMotion:
     @property
     def front(self) -> bool:
         return self.wheel.startswith("front")
+
+    def turning(self) -> WheelMotion:
+        """The same wheel with only what the steering and the report need: of an hour the rest is 20 MB."""
+        none = np.empty(0)
+        return replace(
+            self, phase=none, phase_sd=none, spin=none, spin_sd=none, yaw_rate=none, yaw_rate_sd=none,
+            roll_rate=none,
+        )  # fmt: skip
 
 
 CONSTANTS = (
@@ -233,8 +242,10 @@ def steer_from_wheels(
 
 
 def steer_from_sensor(stream: SteerStream, sensor: Steer, grid_t: Floats) -> SteerInput:
-    """The steering sensor's angle on a grid, with the manifest's doubt of its zero and scale."""
-    angle, sd, correlation_time = sensor_angle(stream.t, stream.angle, np.radians(sensor.noise_deg), grid_t)
+    """The steering sensor's angle on a grid, with the manifest's doubt of its zero and scale; its noise is what the
+    manifest states or, where it states none, what the series shows (at least QUIETEST: it may be filtered)."""
+    noise = sensor.noise_deg if "noise_deg" in sensor.model_fields_set else QUIETEST
+    angle, sd, correlation_time = sensor_angle(stream.t, stream.angle, np.radians(noise), grid_t)
     return SteerInput(
         angle, sd, correlation_time, float(np.radians(sensor.zero_sd_deg)), sensor.scale_sd, "sensor"
     )

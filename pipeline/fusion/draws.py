@@ -195,4 +195,4 @@ def posterior_errors(
         error,
         nu,
     )
-    return problem.t[::EVERY], -error
+    return problem.t[::EVERY], np.negative(error, out=error)

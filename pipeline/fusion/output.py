@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 
 RATE_WINDOW = 11  # nodes: yaw rates leave as slopes of the smoothed yaw over 0.2 s
 K_X, K_Y, K_YAW1, K_V, K_SLIP1, K_ROLL, K_PITCH, K_YAW2, K_BGZ, K_BGZ2, K_LAG = range(len(KEPT))
+BLOCK = 8192  # nodes worked on at a time: an hour's covariances more than once are the peak of memory
 BODY = 6  # x, y, yaw, v, v_lateral, yaw_rate
 
 
@@ -52,8 +53,12 @@ def at_utc(t: Floats, grid: Floats, lag: float, x: Floats, P: Floats, tilt2: tup
     w = place - i
 
     def at(v: Floats) -> Floats:
-        f = w.reshape(-1, *([1] * (v.ndim - 1)))
-        return np.asarray(v[i] * (1.0 - f) + v[i + 1] * f)
+        out = np.empty((grid.size, *v.shape[1:]))
+        for a in range(0, grid.size, BLOCK):
+            here = slice(a, a + BLOCK)
+            f = w[here].reshape(-1, *([1] * (v.ndim - 1)))
+            out[here] = v[i[here]] * (1.0 - f) + v[i[here] + 1] * f
+        return out
 
     window = min(RATE_WINDOW, t.size - 1 + t.size % 2)
     rate1, rate2 = (savgol_filter(x[:, k], window, 2, deriv=1, delta=STEP) for k in (s.YAW1, s.YAW2))
@@ -118,7 +123,10 @@ def seeder_crab(m: Smooth, p: Floats) -> Floats:
 
 def _covariance(J: Floats, P: Floats, rate_variance: float, crab: Floats, lever: float) -> Floats:
     """J·P·Jᵀ with what the state does not hold: the rates' own noise, constant crab (N, 3), lever arms."""
-    C = np.einsum("nik,nkl,njl->nij", J, P, J, optimize=True)
+    C = np.empty((J.shape[0], BODY, BODY))
+    for a in range(0, J.shape[0], BLOCK):
+        here = slice(a, a + BLOCK)
+        C[here] = J[here] @ P[here] @ J[here].transpose(0, 2, 1)
     C[:, 0, 0] += lever**2
     C[:, 1, 1] += lever**2
     C[:, :3, :3] += crab[:, :, None] * crab[:, None, :]
