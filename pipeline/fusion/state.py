@@ -42,13 +42,6 @@ GX: Final = 26  # m, slow error of a second receiver
 GY: Final = 27
 SIZE: Final = 28
 
-STATE_NAMES: Final = (
-    "x", "y", "yaw1", "v", "slip1", "roll", "pitch", "gyro_bias_x", "gyro_bias_y", "gyro_bias_z",
-    "accel_bias_x", "accel_bias_y", "yaw2", "gyro_bias_z2", "slip2", "gnss_slow_x", "gnss_slow_y", "lag",
-    "wheel_scale", "gyro_scale1", "gyro_scale2", "turn_slip1", "turn_slip2", "heading_bias", "gnss_float_x",
-    "gnss_float_y", "gnss2_slow_x", "gnss2_slow_y",
-)  # fmt: skip
-
 # Of the smoothed covariance these rows and columns are kept: all that the bodies' motion needs.
 KEPT: Final = (X, Y, YAW1, V, SLIP1, ROLL, PITCH, YAW2, BGZ, BGZ2, LAG)
 
