@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -42,11 +43,12 @@ SETTINGS = replace(ReplaySettings(), horizons=())  # the horizon curve is no par
 
 @dataclass(frozen=True)
 class Recording:
-    """A pass fused once, with the machine as its manifest states it."""
+    """A pass fused once, with the machine as its manifest states it; sha256: of the log it came from."""
 
     manifest: Manifest
     motion: Motion
     machine: Machine
+    sha256: str = ""
 
     @property
     def run(self) -> str:
@@ -167,11 +169,7 @@ def _stretches(recording: Recording, comparison: Comparison) -> list[Stretch]:
 
 def _compared(recording: Recording, found: Fit, settings: ReplaySettings) -> Comparison:
     """A pass compared with the estimated parameters, their standard errors as what is not known of them."""
-    sds = {
-        p.name: p.spread(float(z), float(sd))
-        for p, z, sd in zip(found.parameters, found.z, found.sd, strict=True)
-    }
-    known = {**recording.manifest.uncertainty, **sds}
+    known = {**recording.manifest.uncertainty, **found.spreads}
     manifest = recording.manifest.model_copy(update={"uncertainty": known})
     return compare(recording.motion, changed(recording.machine, found.values), manifest, settings)
 
@@ -219,6 +217,7 @@ def document_of(found: Identification, rules: Rules = Rules()) -> dict[str, Any]
     return {
         "schema": 1,
         "verdict": verdict_values(verdicts["held_out"]),
+        "version": version("smts-validate"),
         "folds_by": found.kind,
         "stages": {
             stage: {
@@ -241,6 +240,7 @@ def document_of(found: Identification, rules: Rules = Rules()) -> dict[str, Any]
                 "field": r.manifest.run.field,
                 "direction": r.manifest.run.direction,
                 "rows": len(found.before[r.run].rows),
+                "sha256": r.sha256,
                 **{s: _pass_discrepancy(compared.get(r.run), rules) for s, compared in stages.items()},
             }
             for r in found.recordings
@@ -250,13 +250,13 @@ def document_of(found: Identification, rules: Rules = Rules()) -> dict[str, Any]
 
 def _estimate(found: Identification, i: int) -> dict[str, Any]:
     one, p = found.fit, found.fit.parameters[i]
-    z, sd = float(one.z[i]), float(one.sd[i])
+    z = float(one.z[i])
     value = p.value(z)
     return {
         "parameter": p.name,
         "stated": p.stated,
         "estimate": value,
-        "standard_error": p.spread(z, sd),
+        "standard_error": one.spreads[p.name],
         "standard_error_uncorrected": p.spread(z, float(one.bread[i, i]) ** 0.5),
         "interval": list(one.interval(i)),
         "profile_interval": list(found.profiles[p.name]),
@@ -270,11 +270,15 @@ def _estimate(found: Identification, i: int) -> dict[str, Any]:
 
 
 def _fold_values(fold: Fold) -> dict[str, Any]:
-    values = {} if fold.fit is None else fold.fit.values
-    held = [] if fold.fit is None else [vars(h) for h in fold.fit.held]
+    one = fold.fit
     return {
-        "left_out": fold.name, "runs": list(fold.runs), "estimates": values, "held": held, "reason": fold.reason
-    }  # fmt: skip
+        "left_out": fold.name,
+        "runs": list(fold.runs),
+        "estimates": {} if one is None else one.values,
+        "standard_errors": {} if one is None else one.spreads,
+        "held": [] if one is None else [vars(h) for h in one.held],
+        "reason": fold.reason,
+    }
 
 
 def _pass_discrepancy(comparison: Comparison | None, rules: Rules) -> dict[str, Any] | None:
@@ -300,7 +304,7 @@ def identify_to_folder(
         log = read_source(source)
         machine = machine_of(log)
         free = _checked(wanted, machine) if free is None else free
-        recordings.append(Recording(log.manifest, fuse(log), machine))
+        recordings.append(Recording(log.manifest, fuse(log), machine, log.sha256))
     document = document_of(identify(recordings, free or {}, kind, say=say))
     out.mkdir(parents=True, exist_ok=True)
     (out / DOCUMENT).write_text(dump_json(document), encoding="utf-8")

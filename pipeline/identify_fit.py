@@ -88,6 +88,14 @@ class Fit:
         return np.sqrt(np.diag(self.covariance))
 
     @property
+    def spreads(self) -> dict[str, float]:
+        """Standard errors by name, in the parameters' own units."""
+        return {
+            p.name: p.spread(float(z), float(sd))
+            for p, z, sd in zip(self.parameters, self.z, self.sd, strict=True)
+        }
+
+    @property
     def correlation(self) -> Floats:
         """(P, P) correlation matrix of the estimates."""
         return np.asarray(self.covariance / np.outer(self.sd, self.sd))

@@ -145,11 +145,11 @@ def fold_blocks(document: Document) -> tuple[Block, ...]:
         return (Text("All passes belong to one fold, so none could be held out."),)
     names = [p["parameter"] for p in document["parameters"]]
     rows = tuple(
-        (fold["left_out"], ", ".join(fold["runs"]), *(number(fold["estimates"].get(n)) for n in names))
+        (fold["left_out"], ", ".join(fold["runs"]), *(_with_error(fold, n) for n in names))
         for fold in document["folds"]
     )
     table = Table(
-        "folds", "Estimates without the passes left out; a dash: held at its stated value.",
+        "folds", "Estimates without the passes left out, ± a standard error; a dash: held at its stated value.",
         ("left out", "passes", *names), rows,
     )  # fmt: skip
     failed = tuple(
@@ -160,6 +160,12 @@ def fold_blocks(document: Document) -> tuple[Block, ...]:
         if f["reason"]
     )
     return (table, *failed)
+
+
+def _with_error(fold: Document, name: str) -> str:
+    """`4.15e+04 ± 3e+03`, a dash for a parameter that was held."""
+    error = fold["standard_errors"].get(name)
+    return "–" if error is None else f"{number(fold['estimates'][name])} ± {error:.2g}"
 
 
 def number(value: float | None) -> str:
