@@ -20,9 +20,24 @@ def read_source(source: Path, manifest: Path | None = None) -> FieldLog:
     """The streams of a raw pass's folder (it has a run.toml) or of a log (an MCAP file, a rosbag2 folder)."""
     if not source.exists():
         raise SourceError(f"{source}: there is no such file or folder; give a log or a raw pass's folder")
-    if source.is_dir() and manifest is None and (source / "run.toml").is_file():
-        return read_pass(source)
+    if source.is_dir() and manifest is None and not _recording(source):
+        return read_pass(with_manifest(source))
     return read_log(source, manifest)
+
+
+def _recording(folder: Path) -> bool:
+    """Whether a folder without run.toml is a recording (rosbag2): it has its metadata, or an MCAP file."""
+    if (folder / "run.toml").is_file():
+        return False
+    return (folder / "metadata.yaml").is_file() or any(folder.glob("*.mcap"))
+
+
+def with_manifest(folder: Path) -> Path:
+    """The folder itself. Raises SourceError where it has no run.toml: that it is missing, and what drafts one."""
+    if not (folder / "run.toml").exists():
+        draft = f"`smts-validate init {folder}` drafts one from the raw files in it"
+        raise SourceError(f"{folder}: has no run.toml, which says what the raw files are; {draft}")
+    return folder
 
 
 def draft_pass(folder: Path, force: bool = False) -> dict[str, Any]:
@@ -44,7 +59,7 @@ def ingest_pass(folder: Path, logs: Path) -> dict[str, Any]:
     """Turn one raw pass into `logs/<run.id>.mcap`; what was found on the way, as plain values."""
     if not folder.is_dir():
         raise SourceError(f"{folder}: is not a folder; a raw pass is a folder with a run.toml")
-    log = read_pass(folder)
+    log = read_pass(with_manifest(folder))
     path = logs / f"{log.manifest.run.id}.mcap"
     logs.mkdir(parents=True, exist_ok=True)
     write_log(path, log)

@@ -5,59 +5,30 @@ from __future__ import annotations
 import datetime as dt
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from .draft_columns import guess_inertial, guess_steering
+from .draft_bus import bus_guesses
+from .draft_columns import guess_inertial
+from .draft_guess import Guess, quoted, source_keys, time_units, usual_rate, words_of
 from .draft_text import HEAD, MACHINE, SEEDER
-from .formats import gcsv, gnss_csv, imu_csv, nmea, rtklib_pos, sensor_logger, steer_csv, ubx
-from .manifest import GRAVITY, Gps, Imd, Steer, Units
+from .formats import gcsv, gnss_csv, imu_csv, nmea, rtklib_pos, sensor_logger, ubx
+from .manifest import GRAVITY, Gps, Imd, Units
 from .plausibility import best_upright
 from .presets import PRESETS
-from .raw import Floats, Ints, RawError, RawGnss, RawImu
+from .raw import Floats, RawError, RawGnss, RawImu
 from .tables import find_header, read_head, read_text
 
 PASSED_OVER = {"run.toml"}
 MOST_FILES = 200
 WHEEL_GRAVITY = 0.5  # of g: a turning wheel's mean specific force is below this
-USUAL_RATES = (
-    1.0,
-    2.0,
-    4.0,
-    5.0,
-    8.0,
-    10.0,
-    20.0,
-    25.0,
-    50.0,
-    100.0,
-    125.0,
-    200.0,
-    250.0,
-    400.0,
-    500.0,
-    1000.0,
-)
 DEGREES_FROM = {True: 20.0, False: 4.0}  # a 99th percentile above this is no rad/s: of a wheel, of a body
 WHEELS = ("front_right", "front_left", "rear_right", "rear_left")
 
 
 class DraftError(ValueError):
     """A folder in which nothing could be recognised; one line."""
-
-
-@dataclass(frozen=True)
-class Guess:
-    """What one file seems to be: its table in run.toml, and the reasons."""
-
-    file: str
-    kind: str
-    keys: Mapping[str, str]
-    reasons: tuple[str, ...]
-    moment: float | None = None  # UTC of its start, where it tells
-    words: tuple[str, ...] = field(default=())
 
 
 def draft_manifest(folder: Path) -> tuple[str, list[str]]:
@@ -67,13 +38,13 @@ def draft_manifest(folder: Path) -> tuple[str, list[str]]:
 
     Raises DraftError : no inertial unit or no GNSS log was recognised.
     """
-    guesses, reasons = [], []
+    guesses: list[Guess] = []
+    reasons: list[str] = []
     for path in sorted(p for p in folder.iterdir() if p.is_file() and p.name not in PASSED_OVER)[:MOST_FILES]:
-        guess = _recognised(path)
-        if guess is None:
+        found = _recognised(path)
+        guesses += found
+        if not found:
             reasons.append(f"{path.name}: not recognised, passed over")
-        else:
-            guesses.append(guess)
     _require(folder, guesses)
     tables, told = _tables(guesses)
     with_seeder = any('body = "seeder"' in table for table in tables)
@@ -87,9 +58,9 @@ def draft_manifest(folder: Path) -> tuple[str, list[str]]:
 
 
 def _require(folder: Path, guesses: Sequence[Guess]) -> None:
-    for kinds, what in ((("imd",), "inertial unit on a body"), (("gps",), "GNSS log")):
+    for kinds, what in ((("imd",), "an inertial unit on a body"), (("gps",), "a receiver")):
         if not any(guess.kind in kinds for guess in guesses):
-            raise DraftError(f"{folder.name}: no file looks like the log of a {what}; see docs/formats.md")
+            raise DraftError(f"{folder.name}: no file looks like the log of {what}; see docs/formats.md")
 
 
 def _run_id(name: str) -> str:
@@ -97,16 +68,16 @@ def _run_id(name: str) -> str:
     return cleaned[:64] or "pass"
 
 
-def _recognised(path: Path) -> Guess | None:
-    """The first way of reading the file that succeeds."""
-    for attempt in (_as_gnss, _as_inertial, _as_steering):
+def _recognised(path: Path) -> list[Guess]:
+    """By the first way of reading the file that succeeds; a bus's export may hold several sensors."""
+    for attempt in (_as_gnss, _as_inertial, bus_guesses):
         try:
             guess = attempt(path)
         except RawError:
             continue
         if guess is not None:
-            return guess
-    return None
+            return guess if isinstance(guess, list) else [guess]
+    return []
 
 
 def _as_gnss(path: Path) -> Guess | None:
@@ -116,7 +87,7 @@ def _as_gnss(path: Path) -> Guess | None:
     for form, fits in ((ubx, True), (rtklib_pos, True), (nmea, sentences), (gnss_csv, True)):
         if fits and form.reads(sensor, path, head):
             raw: RawGnss = form.read(path, sensor, "gps", dt.date(1970, 1, 1))
-            rate = _rate(raw.utc)
+            rate = usual_rate(raw.utc)
             what = form.__name__.rsplit(".", 1)[-1]
             told = [f"read as {what}: {raw.utc.size} epochs at {rate:g} Hz"]
             told.append("position guessed: measure the antenna from the centre of mass")
@@ -124,23 +95,8 @@ def _as_gnss(path: Path) -> Guess | None:
                 told.append("no logger's time in it: the offset will be sought in the motion")
             keys = {"position": "[0.0, 0.0, 2.0]", "rate": f"{rate:.1f}"}
             day = raw.utc[0] if raw.utc[0] > 10 * 86400.0 else None  # without a date the day is a guess
-            return Guess(path.name, "gps", keys, tuple(told), day, _words(path))
+            return Guess(path.name, "gps", keys, tuple(told), day, words_of(path))
     return None
-
-
-def _as_steering(path: Path) -> Guess | None:
-    header = find_header(read_text(path), path.name)
-    columns, reasons = guess_steering(header.names)
-    if columns is None:
-        return None
-    units = _time_units(path, columns["t_host_ns"], "host_time")
-    sensor = Steer(
-        kind="steer", file=path.name, rate=50.0, columns=columns, units=Units.model_validate(units)
-    )
-    raw = steer_csv.read(path, sensor, "steer", dt.date(1970, 1, 1))
-    keys = _source_keys(columns, units)
-    rate = _rate(raw.host_ns)
-    return Guess(path.name, "steer", keys | {"rate": f"{rate:.1f}"}, tuple(reasons), None, _words(path))
 
 
 def _as_inertial(path: Path) -> Guess | None:
@@ -157,27 +113,10 @@ def _as_inertial(path: Path) -> Guess | None:
         return None
     columns = None if known else columns
     if columns and "t_host_ns" in columns:
-        units |= _time_units(path, columns["t_host_ns"], "host_time")
+        units |= time_units(path, columns["t_host_ns"], "host_time")
     sensor = sensor.model_copy(update={"columns": columns or {}, "units": Units.model_validate(units)})
     raw = imu_csv.read(path, sensor, "imd", dt.date(1970, 1, 1))
     return _inertial(path, raw, columns or {}, reasons, units)
-
-
-def _time_units(path: Path, column: str, key: str) -> dict[str, str]:
-    """The unit in which a column of times is a date of this century; nothing where none makes it one."""
-    data = read_text(path)
-    header = find_header(data, path.name, [column])
-    lines = data[:65536].decode("utf-8", "replace").splitlines()[header.lines : header.lines + 1]
-    cells = lines[0].split(header.separator) if lines else []
-    at = header.names.index(column) if column in header.names else -1
-    try:
-        value = abs(float(cells[at].strip('" ').replace(",", ".")))
-    except (IndexError, ValueError):
-        return {}
-    for unit, size in (("s", 1.0), ("ms", 1.0e-3), ("us", 1.0e-6)):
-        if 9.0e8 < value * size < 4.2e9:
-            return {key: unit}
-    return {}
 
 
 def _inertial(
@@ -197,8 +136,8 @@ def _inertial(
         turn = np.radians(turn)
         units = units | {"gyro": "deg/s"}
         reasons = [*reasons, "rotations too large for rad/s are deg/s"]
-    rate = _rate(raw.host_ns)
-    keys = _source_keys(columns, units) | {"rate": f"{rate:.1f}"}
+    rate = usual_rate(raw.host_ns)
+    keys = source_keys(columns, units) | {"rate": f"{rate:.1f}"}
     if wheel:
         keys |= {"offset": "[0.0, 0.0, 0.0]", "rotation_deg": _axle(turn)}
         reasons = [*reasons, "gravity turns in its frame: it sits in a wheel"]
@@ -213,7 +152,7 @@ def _inertial(
         ]
     start = float(raw.host_ns[0]) * 1.0e-9
     moment = start if start > 9.0e8 else None
-    return Guess(path.name, "wds" if wheel else "imd", keys, tuple(reasons), moment, _words(path))
+    return Guess(path.name, "wds" if wheel else "imd", keys, tuple(reasons), moment, words_of(path))
 
 
 def _axle(turn: Floats) -> str:
@@ -231,43 +170,6 @@ def _axle(turn: Floats) -> str:
     return fits[axis, bool(forward)]
 
 
-def _source_keys(columns: Mapping[str, str], units: Mapping[str, str]) -> dict[str, str]:
-    """The keys `columns` and `units`, where they are needed."""
-    renamed = {key: name for key, name in columns.items() if key != name}
-    keys = {}
-    if renamed:
-        keys["columns"] = _inline(renamed)
-    if units:
-        keys["units"] = _inline(units)
-    return keys
-
-
-def _inline(table: Mapping[str, str]) -> str:
-    return "{ " + ", ".join(f"{key} = {_quoted(value)}" for key, value in table.items()) + " }"
-
-
-def _quoted(text: str) -> str:
-    plain = "".join(c if c.isprintable() else "?" for c in text)
-    escaped = plain.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
-
-
-def _rate(t: Floats | Ints) -> float:
-    """Samples a second, rounded to what loggers are set to. t : s, or whole ns."""
-    scale = 1.0e-9 if np.issubdtype(t.dtype, np.integer) else 1.0
-    step = np.diff(t)
-    step = step[step > 0]
-    if step.size == 0:
-        return 1.0
-    rate = float(step.size / (step.sum() * scale))
-    usual = min(USUAL_RATES, key=lambda known: abs(known - rate))
-    return usual if abs(usual - rate) < 0.1 * usual else max(float(f"{rate:.2g}"), 0.1)
-
-
-def _words(path: Path) -> tuple[str, ...]:
-    return tuple(re.findall(r"[a-z]+", path.stem.lower()))
-
-
 def _tables(guesses: Sequence[Guess]) -> tuple[list[str], list[str]]:
     """A table of run.toml for each file, and the reasons."""
     tables, told = [], []
@@ -283,9 +185,9 @@ def _tables(guesses: Sequence[Guess]) -> tuple[list[str], list[str]]:
         elif guess.kind == "wds":
             keys["wheel"], why = _wheel(guess, counts["wds"])
             more.append(why)
-        alone = guess.kind in ("gps", "steer") and counts[guess.kind] == 1
+        alone = guess.kind in ("gps", "steer", "speed") and counts[guess.kind] == 1
         name = guess.kind if alone else f"{guess.kind}{counts[guess.kind]}"
-        lines = [f"[sensors.{name}]", f'kind = "{guess.kind}"', f"file = {_quoted(guess.file)}"]
+        lines = [f"[sensors.{name}]", f'kind = "{guess.kind}"', f"file = {quoted(guess.file)}"]
         tables.append("\n".join([*lines, *(f"{key} = {value}" for key, value in keys.items())]) + "\n")
         told += [f"{guess.file} -> sensors.{name}: {reason}" for reason in (*guess.reasons, *more)]
     return tables, told

@@ -14,6 +14,25 @@ HOST_WORDS = ("t_host_ns", "host_time", "t_host", "timestamp", "time", "unix", "
 DEVICE_WORDS = ("t_dev_us", "t_dev", "device_time", "ticks", "micros", "timer", "sampletimefine")
 SEQ_WORDS = ("seq", "sequence", "packetcounter", "counter", "sample", "count")
 ANGLE_WORDS = ("angle", "steer", "steering", "steering_angle", "wheel_angle", "steer_angle", "lenkwinkel")
+SPEED_WORDS = (
+    *("speed", "wheel_speed", "wheelspeed", "vehicle_speed", "ground_speed", "machine_speed"),
+    *("wheel_based_machine_speed", "wheel_based_vehicle_speed", "velocity", "geschwindigkeit"),
+)
+WHEEL_MARK = r"{0}_?{1}|{1}_?{0}|(?:^|_|speed|wheel|spd)(?:{2}{3}|{3}{2})(?:$|_|speed|wheel|spd)"
+WHEEL_MARKS = {  # how a wheel is told in the name of a column
+    f"{end}_{side}": WHEEL_MARK.format(end, side, end[0], side[0])
+    for end in ("front", "rear")
+    for side in ("right", "left")
+}
+WHEEL_SPEED = re.compile(r"wheel|speed|spd|velocity")
+SPEED_MARKS = (
+    ("km/h", r"km/?h|kph"),
+    ("mph", r"mph|mi/h"),
+    ("mm/s", r"mm/s"),
+    ("rad/s", r"rad/?s"),
+    ("rpm", r"rpm|1/min|u/min"),
+    ("m/s", r"m/s|mps|^ms$"),
+)
 UNIT_MARKS = (
     ("accel", "g", r"\bg\b"),
     ("gyro", "deg/s", r"deg|dps|°"),
@@ -24,7 +43,7 @@ UNIT_MARKS = (
 
 def _bare(name: str) -> str:
     """Lower case, without units in brackets."""
-    return re.sub(r"[\[(].*?[\])]", "", name).strip().lower().replace(" ", "_").strip("_#")
+    return re.sub(r"[\[(].*?[\])]", "", name).strip().lower().replace(" ", "_").replace("-", "_").strip("_#")
 
 
 def guess_inertial(names: Sequence[str]) -> tuple[dict[str, str] | None, dict[str, str], list[str]]:
@@ -64,6 +83,28 @@ def _units(columns: dict[str, str]) -> dict[str, str]:
             if unit_key == key and re.search(pattern, inside):
                 units[key] = unit
     return units
+
+
+def guess_speeds(names: Sequence[str]) -> tuple[str | None, list[tuple[str, str | None]]]:
+    """A bus's column of time (None: there is none), and its columns of speed, each with the wheel that it tells."""
+    bare = {name: _bare(name) for name in names if name}
+    time = _by_words(bare, HOST_WORDS)
+    wheels: dict[str, str] = {}
+    for wheel, pattern in WHEEL_MARKS.items():
+        for name, plain in bare.items():
+            if WHEEL_SPEED.search(plain) and re.search(pattern, plain) and wheel not in wheels.values():
+                wheels[name] = wheel
+    found: list[tuple[str, str | None]] = list(wheels.items())
+    whole = _by_words({name: plain for name, plain in bare.items() if name not in wheels}, SPEED_WORDS)
+    if not found and whole is not None and whole != time:
+        found = [(whole, None)]
+    return time, found
+
+
+def speed_unit(name: str) -> str | None:
+    """The unit of speed that a column's name states, in brackets or at its end; None where it states none."""
+    inside = " ".join(re.findall(r"[\[(](.*?)[\])]", name)) or name.rsplit("_", 1)[-1]
+    return next((unit for unit, mark in SPEED_MARKS if re.search(mark, inside.lower())), None)
 
 
 def guess_steering(names: Sequence[str]) -> tuple[dict[str, str] | None, list[str]]:

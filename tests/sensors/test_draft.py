@@ -88,6 +88,43 @@ def test_a_steering_table_is_found_by_its_words(tmp_path: Path) -> None:
     assert unit.columns == {"t_host_ns": "time", "angle": "steering_angle"}
 
 
+@pytest.mark.parametrize(
+    ("header", "speeds", "expected"),
+    [
+        ("WheelSpeedRL,WheelSpeedRR", 9.0, {"rear_left": "km/h", "rear_right": "km/h"}),
+        (
+            "wheel speed front left [rpm],rear_right_wheel_speed_kmh",
+            9.0,
+            {"front_left": "rpm", "rear_right": "km/h"},
+        ),
+        ("vehicle_speed,gear", 2.5, {None: "m/s"}),
+        ("Wheel-based machine speed,x", 2500.0, {None: "mm/s"}),
+        ("rrspeed (mph),FL_speed (m/s)", 5.0, {"front_left": "m/s", "rear_right": "mph"}),
+        ("engine_speed_limit,throttle", 9.0, {}),
+    ],
+)
+def test_speeds_of_a_bus_are_found_with_wheel_and_unit(
+    tmp_path: Path, header: str, speeds: float, expected: dict[str | None, str]
+) -> None:
+    folder = write_pass(tmp_path / "pass")
+    rows = [f"{START + k / 20:.3f},{0.5 * (k % 90) - 20:.1f},{speeds},{speeds}" for k in range(1180)]
+    (folder / "can.csv").write_text(f"time,steering angle (deg),{header}\n" + "\n".join(rows) + "\n")
+    run, reasons = drafted(folder)
+    assert {s.wheel: s.units.speed for s in run.of_kind("speed").values()} == expected
+    assert run.sensors["steer"].units.angle == "deg"
+    assert {s.rate for s in run.of_kind("speed").values()} <= {20.0}
+    assert len([r for r in reasons if "is a speed" in r]) == len(expected)
+    (folder / "run.toml").write_text(draft_manifest(folder)[0])
+    assert set(read_pass(folder).streams) == set(run.sensors)
+
+
+def test_small_steering_angles_are_left_in_radians(tmp_path: Path) -> None:
+    folder = write_pass(tmp_path / "pass")
+    rows = [f"{START + k / 20:.3f},{0.004 * (k % 90) - 0.2:.4f}" for k in range(1180)]
+    (folder / "can.csv").write_text("time,steer\n" + "\n".join(rows) + "\n")
+    assert drafted(folder)[0].sensors["steer"].units.angle == "rad"
+
+
 def test_what_is_not_recognised_is_said_and_passed_over(tmp_path: Path) -> None:
     folder = write_pass(tmp_path / "pass")
     (folder / "notes.txt").write_text("wet\n")
