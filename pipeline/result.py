@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from ..sensors import manifest as manifests
@@ -122,7 +121,7 @@ def write_tables(folder: Path, result: PassResult) -> None:
     tables.write_table(tables.trajectory_table(result.motion, result.rows, ours), folder / TRAJECTORY)
     simulation = tables.simulation_table(result.motion, result.rows, result.simulated, ours)
     tables.write_table(simulation, folder / SIMULATION)
-    tables.write_table(pa.table(dict(result.comparison)), folder / COMPARISON)
+    tables.write_table(tables.table_of(result.comparison), folder / COMPARISON)
     plots = {**result.plots, **tables.innovation_plots(result.motion)}
     tables.write_table(tables.plots_table(plots), folder / PLOTS)
     (folder / METRICS).write_text(dump_json(result.metrics), encoding="utf-8")

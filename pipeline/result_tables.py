@@ -113,7 +113,7 @@ def trajectory_table(motion: Motion, rows: Sequence[RowLike], version: str) -> p
     lines = [
         {"row": r.index, "a": [float(v) for v in r.line.a], "b": [float(v) for v in r.line.b]} for r in rows
     ]
-    return with_metadata(pa.table(columns), {"origin": origin, "lines": lines, "version": version})
+    return with_metadata(table_of(columns), {"origin": origin, "lines": lines, "version": version})
 
 
 SIMULATED = ("x", "y", "yaw", "v", "yaw_rate")
@@ -131,7 +131,22 @@ def simulation_table(
         s, across = path_columns(body[f"x{b}"], body[f"y{b}"], rows)
         columns |= body | {f"s{b}": s, f"n{b}": across}
     columns |= {"steer": simulated.get("steer", nan), "window": simulated.get("window", nan)}
-    return with_metadata(pa.table(columns), {"version": version})
+    return with_metadata(table_of(columns), {"version": version})
+
+
+def table_of(columns: Mapping[str, NDArray[Any]]) -> pa.Table:
+    """The columns (numbers) as a table that shares their memory; pyarrow's own way there imports pandas."""
+    return pa.table({name: _arrow(np.ascontiguousarray(values)) for name, values in columns.items()})
+
+
+def _arrow(values: NDArray[Any]) -> pa.Array:
+    kind = pa.from_numpy_dtype(values.dtype)
+    return pa.Array.from_buffers(kind, values.size, [None, pa.py_buffer(values)])
+
+
+def values_of(column: pa.ChunkedArray) -> NDArray[Any]:
+    """Numbers of a column without nulls; the way back of `table_of`."""
+    return np.asarray(np.from_dlpack(column.combine_chunks()))
 
 
 def with_metadata(table: pa.Table, metadata: Mapping[str, Any]) -> pa.Table:
@@ -151,25 +166,32 @@ def plots_table(plots: Mapping[str, Mapping[str, PlotSeries]]) -> pa.Table:
     def band(values: Floats | None, size: int) -> Floats:
         return np.full(size, np.nan) if values is None else values
 
-    columns = {
-        "plot": pa.array(
-            [p for (p, _, _), n in zip(flat, sizes, strict=True) for _ in range(n)], pa.string()
-        ),
-        "series": pa.array(
-            [s for (_, s, _), n in zip(flat, sizes, strict=True) for _ in range(n)], pa.string()
-        ),
+    words = {
+        "plot": _repeated([p for p, _, _ in flat], sizes),
+        "series": _repeated([s for _, s, _ in flat], sizes),
+    }
+    numbers = {
         "x": joined([series.x for _, _, series in flat]),
         "y": joined([series.y for _, _, series in flat]),
         "low": joined([band(s.low, n) for (_, _, s), n in zip(flat, sizes, strict=True)]),
         "high": joined([band(s.high, n) for (_, _, s), n in zip(flat, sizes, strict=True)]),
     }
-    return pa.table(columns)
+    return pa.table({**words, **{name: _arrow(values) for name, values in numbers.items()}})
+
+
+def _repeated(names: Sequence[str], counts: Sequence[int]) -> pa.Array:
+    """Each name so many times, as a column of text."""
+    encoded = [name.encode() for name in names]
+    ends = np.cumsum(np.repeat([len(name) for name in encoded], counts), dtype=np.int32)
+    offsets = np.concatenate([np.zeros(1, np.int32), ends.astype(np.int32)])
+    text = b"".join(name * count for name, count in zip(encoded, counts, strict=True))
+    return pa.StringArray.from_buffers(ends.size, pa.py_buffer(offsets), pa.py_buffer(text))
 
 
 def plots_of_table(table: pa.Table) -> dict[str, dict[str, PlotSeries]]:
     """The curves back from `plots_table`, in their order."""
     plot, series = table["plot"].to_pylist(), table["series"].to_pylist()
-    columns = {name: table[name].to_numpy().astype(np.float64) for name in ("x", "y", "low", "high")}
+    columns = {name: values_of(table[name]).astype(np.float64) for name in ("x", "y", "low", "high")}
     edges = [i for i in range(len(plot)) if i == 0 or (plot[i], series[i]) != (plot[i - 1], series[i - 1])]
     found: dict[str, dict[str, PlotSeries]] = {}
     for start, stop in pairwise([*edges, len(plot)]):
@@ -195,7 +217,7 @@ def innovation_plots(motion: Motion) -> dict[str, dict[str, PlotSeries]]:
 
 def read_plots(path: Path) -> dict[str, dict[str, PlotSeries]]:
     """The curves of plots.parquet."""
-    return plots_of_table(pq.read_table(path))
+    return plots_of_table(pq.ParquetFile(path).read())
 
 
 def write_table(table: pa.Table, path: Path) -> None:
@@ -205,6 +227,6 @@ def write_table(table: pa.Table, path: Path) -> None:
 
 def read_columns(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Columns of a Parquet file as arrays, and its metadata under `smts`."""
-    table = pq.read_table(path)
+    table = pq.ParquetFile(path).read()
     packed = (table.schema.metadata or {}).get(METADATA_KEY, b"{}")
-    return {name: table[name].to_numpy() for name in table.column_names}, dict(json.loads(packed))
+    return {name: values_of(table[name]) for name in table.column_names}, dict(json.loads(packed))

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from .checks import rows_of
 from .raw import Floats, Ints, RawError, RawGnss
 from .streams import GnssStream, Warn
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Bools = NDArray[np.bool_]
 # Seconds by which GPS time is ahead of UTC, from each day (Unix s) on; IERS Bulletin C.

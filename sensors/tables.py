@@ -10,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
@@ -168,6 +167,8 @@ class Table:
 
 
 def _coerced(column: pa.ChunkedArray) -> Floats:
+    import pandas as pd  # half a second to import, and few files need it
+
     text = pd.Series(column.to_numpy(zero_copy_only=False), dtype=object)
     return np.asarray(pd.to_numeric(text, errors="coerce"), dtype=np.float64)
 

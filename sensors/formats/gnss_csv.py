@@ -6,7 +6,6 @@ import datetime as dt
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from ..checks import SECONDS, YEAR_2000, YEAR_2100, dropped_lines, times_ns
 from ..gnss_values import epochs, to_yaw, unix_seconds
@@ -121,6 +120,8 @@ def _scaled(number: Floats) -> Floats:
 
 
 def _iso(table: Table, column: str) -> Floats:
+    import pandas as pd  # half a second to import, and few files need it
+
     text = pd.Series(table.columns[column].to_numpy(zero_copy_only=False), dtype=object)
     moment = pd.to_datetime(text, errors="coerce", utc=True, format="ISO8601")
     return unix_seconds(moment)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import datetime as dt
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from ..checks import rows_of
 from ..gnss_values import epochs, to_yaw, unix_seconds, utc_of_gps_time
@@ -15,6 +15,9 @@ from ..manifest import Gps, Sensor
 from ..raw import Floats, RawError, RawGnss
 from ..streams import Warn
 from ..tables import read_text
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 GPS_EPOCH = 315964800.0  # 1980-01-06, Unix s
 WEEK = 604800.0
@@ -49,6 +52,8 @@ def read(path: Path, sensor: Sensor, name: str, date: dt.date) -> RawGnss:
     good = [k for k, row in enumerate(cells) if len(row) == width]
     if not good:
         raise RawError(f"{path.name}: no line has the header's {width} values")
+    import pandas as pd  # half a second to import, and few files need it
+
     frame = pd.DataFrame([cells[k] for k in good], columns=["date", "clock", *names[1:]], dtype=object)
     rows = np.array([numbers[k] for k in good], dtype=np.int64)
     values = {key: _numbers(frame, column) for key, column in _COLUMNS.items() if column in frame}
@@ -79,11 +84,15 @@ _COLUMNS = {
 
 
 def _numbers(frame: pd.DataFrame, column: str) -> Floats:
+    import pandas as pd
+
     return np.asarray(pd.to_numeric(frame[column], errors="coerce"), dtype=np.float64)
 
 
 def _utc(frame: pd.DataFrame, scale: str) -> Floats:
     """Time of each solution; the header's first name says whether it is UTC or GPS time."""
+    import pandas as pd
+
     if "/" in str(frame["date"].iloc[0]):
         moment = pd.to_datetime(
             frame["date"].astype(str) + " " + frame["clock"].astype(str),
