@@ -6,7 +6,9 @@ Only `Motion.steer` may see this; the replay is driven by `steer_input`, which k
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +29,7 @@ FRONT_TIME = 1.0  # s, correlation of the front wheels' slip
 FRONT_DRAG = 0.03  # rad/rad: 10 kN of draft over 2 · 60 kN/rad, times the hitch's overhang over the wheelbase
 CRAB = 0.1  # share of the slip that stays all along a row, unseen, as for the bodies
 WHITE = 0.0005  # rad, of a kinematic angle at one instant beside what the fusion states
-DOUBT = 3.0  # factor: one standard deviation of the slip's lognormal prior
+DOUBT, TIME_DOUBT = 3.0, 2.0  # factors: one standard deviation of the lognormal priors of slip and its time
 LEARNT_FROM, LEARNT_FROM_MOST = 30, 600  # samples at 2 Hz that the slip is learnt from
 
 
@@ -74,8 +76,8 @@ class Difference:
     zero: float
     fast: float
 
-    def errors(self, slip: float) -> Errors:
-        """The model where the front wheels slip by `slip` rad on a straight row."""
+    def errors(self, slip: float, time: float) -> Errors:
+        """The model where the front wheels slip by `slip` rad on a straight row, correlated over `time` s."""
         size = np.column_stack(
             [
                 self.slow,
@@ -85,7 +87,7 @@ class Difference:
             ]
         )
         decay = np.tile(
-            np.exp(-self.dt / np.array([self.memory, np.inf, FRONT_TIME, FRONT_TIME])), (self.z.size, 1)
+            np.exp(-self.dt / np.array([self.memory, np.inf, time, FRONT_TIME])), (self.z.size, 1)
         )
         decay[self.turn > 0.0, 3] = np.exp(-self.dt / physics.TAU_TURN)
         start = size[0] ** 2 + [0.0, self.zero**2, 0.0, 0.0] + 1e-14
@@ -161,19 +163,31 @@ def smooth_error(z: Floats, e: Errors) -> tuple[Floats, Floats]:
     return m[:, 0] + m[:, 1], P[:, 0, 0] + P[:, 1, 1] + 2.0 * P[:, 0, 1]
 
 
-def learnt_slip(d: Difference, prior: float) -> tuple[float, bool]:
-    """Slip (rad) of the largest posterior under a lognormal prior about `prior`, and whether the data told it."""
+def learnt_slip(d: Difference, prior: float) -> tuple[float, float, bool]:
+    """Slip (rad) and its correlation time (s) of the largest posterior under lognormal priors about `prior` and
+    FRONT_TIME, by turns, and whether the data told them."""
     seen = np.flatnonzero(np.isfinite(d.z))
     if seen.size < LEARNT_FROM:
-        return prior, False
+        return prior, FRONT_TIME, False
     part = d.cut(int(seen[0]), min(int(seen[-1]) + 1, int(seen[0]) + LEARNT_FROM_MOST))
 
-    def loss(factor: float) -> float:
-        slip = prior * math.exp(factor)
-        return (factor / math.log(DOUBT)) ** 2 / 2.0 - filtered(part.z, part.errors(slip))[-1]
+    def loss(size: float, time: float) -> float:
+        off = (size / math.log(DOUBT)) ** 2 + (time / math.log(TIME_DOUBT)) ** 2
+        return (
+            0.5 * off - filtered(part.z, part.errors(prior * math.exp(size), FRONT_TIME * math.exp(time)))[-1]
+        )
 
-    best = minimize_scalar(loss, bounds=(-3.0, 3.0), method="bounded", options={"xatol": 0.02})
-    return prior * math.exp(float(best.x)), True
+    size, time = 0.0, 0.0
+    for _ in range(2):
+        size = _least(partial(loss, time=time), 3.0)
+        time = _least(partial(loss, size), 1.5)
+    return prior * math.exp(size), FRONT_TIME * math.exp(time), True
+
+
+def _least(loss: Callable[[float], float], reach: float) -> float:
+    """Where a function of one logarithm is least, within ±reach."""
+    found = minimize_scalar(loss, bounds=(-reach, reach), method="bounded", options={"xatol": 0.05})
+    return float(found.x)
 
 
 def best_steering(
@@ -201,8 +215,8 @@ def best_steering(
         dt, (given.angle - path)[k], slow[k], lateral[k], turn[k], stated[k], max(given.correlation_time, 1e-3),
         given.zero_sd, float(np.mean(fast[k])),
     )  # fmt: skip
-    slip, learnt = learnt_slip(apart, prior)
-    error, variance = smooth_error(apart.z, apart.errors(slip))
+    slip, time, learnt = learnt_slip(apart, prior)
+    error, variance = smooth_error(apart.z, apart.errors(slip, time))
     best = given.angle - np.interp(t, t[k], error)
     constant = (CRAB * slip) ** 2 + (given.scale_sd * best) ** 2
     return Steering(best, np.sqrt(np.interp(t, t[k], variance) + fast**2 + constant), slip, learnt)
