@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...sensors.streams import FieldLog
-from ..wheels import wheel_motions
+from ..wheels import WheelMotion, wheel_motions
 from . import engine_compiled, engine_filterpy, tune
 from . import state as s
 from .assemble import Settled, assemble
@@ -36,6 +36,14 @@ def fuse(log: FieldLog, options: FusionSettings = FusionSettings()) -> Motion:
 
     Raises FusionError when the pass has no position, or too little of anything to be fused.
     """
+    return assemble(*solved(log, options))
+
+
+def solved(
+    log: FieldLog, options: FusionSettings
+) -> tuple[Known, FusionSettings, Levels, tuple[str, ...], Settled, dict[str, WheelMotion]]:
+    """What `fuse` makes its motion of: what is known of the pass, its levels (and which the data told), the last sweep,
+    the wheels. Raises FusionError."""
     wheels = wheel_motions(log)
     known = prepare(log, wheels)
     wheels = {name: wheel.turning() for name, wheel in wheels.items()}
@@ -52,7 +60,7 @@ def fuse(log: FieldLog, options: FusionSettings = FusionSettings()) -> Motion:
     if options.adapt:
         free = free_levels(known)
         levels = tune.best_levels(levels, free, likelihood_of(known, options, path))
-    return assemble(known, options, levels, free, settle(known, options, levels, path), wheels)
+    return known, options, levels, free, settle(known, options, levels, path), wheels
 
 
 def give_back() -> None:

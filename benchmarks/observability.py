@@ -1,0 +1,222 @@
+"""What these sensors can know at best: the posterior Cramér-Rao bound of the fusion, doubt by doubt.
+
+    python benchmarks/observability.py [--passes 2] [--kinds benign,outage]
+
+For seeded twins of each kind it prints the bound of the tractor's lateral place, of both yaws and of the steering
+angle (root mean square over the pass), with all doubts, and again with one of them taken away: the receiver's slow
+error, the accelerometers' bias (tilt), constant crab, the tyres' slip. Beside them the fusion's own error, and for
+every figure that was asked for whether any unbiased estimate could reach it, and what it would take.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "pipeline"))
+
+from fusion_samples import Sample, changed, errors, make, receiver_slow_error, rms
+from smts_validate.pipeline.fusion import engine_compiled, output
+from smts_validate.pipeline.fusion import state as s
+from smts_validate.pipeline.fusion.assemble import assemble, constant_crab
+from smts_validate.pipeline.fusion.fuse import solved
+from smts_validate.pipeline.fusion.kernels import predict
+from smts_validate.pipeline.fusion.motion import BodyMotion, Motion
+from smts_validate.pipeline.fusion.problem import Measurements, Problem
+from smts_validate.pipeline.fusion.settings import FusionSettings, Levels
+from smts_validate.pipeline.fusion.steering import best_steering
+from smts_validate.pipeline.twin_plan import preset
+
+KINDS = ("benign", "bad_sensors", "outage", "headland")
+QUANTITIES = {
+    "lateral1": (100.0, "cm"),
+    "yaw1": (57.2958, "deg"),
+    "yaw2": (57.2958, "deg"),
+    "steer": (57.2958, "deg"),
+}
+# Issue figures: kind, quantity, what was asked (cm, deg)
+ASKED = (
+    ("benign", "lateral1", 0.5), ("benign", "yaw1", 0.03), ("benign", "yaw2", 0.06), ("benign", "steer", 0.1),
+    ("bad_sensors", "yaw1", 0.08), ("bad_sensors", "yaw2", 0.12), ("outage", "lateral1", 6.0),
+    ("headland", "yaw1", 0.15), ("headland", "yaw2", 0.15),
+)  # fmt: skip
+KNOWN = 1.0e-6  # of a standard deviation: a doubt taken away
+Bound = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One pass: its estimation problem, the path it is linearised about, the fused motion, levels, crab (rad)."""
+
+    task: Problem
+    path: np.ndarray
+    motion: Motion
+    levels: Levels
+    crab: tuple[float, float]
+    front_axle: float
+
+
+def case_of(of: Sample) -> Case:
+    """A pass fused, its problem kept."""
+    found = solved(of.log, FusionSettings(draws=2))
+    known, _, levels, _, settled, _ = found
+    machine = known.log.manifest.machine
+    path = settled.smooth.x
+    task = undisturbed(settled.task, path, settled.filtered.used)
+    return Case(
+        task, path, assemble(*found), levels, constant_crab(machine, levels), machine.tractor.front_axle
+    )
+
+
+def undisturbed(task: Problem, path: np.ndarray, used: np.ndarray) -> Problem:
+    """The problem with the measurements that the fusion took, each as the path itself would give it: what is known
+    then hangs on the doubts alone, not on what a gate makes of data that are better or worse than stated."""
+    q, H = task.measurements, np.empty(s.SIZE)
+    z = [
+        predict(q.kind[m], path[q.node[m]], task.node_inputs[q.node[m]], q.ahead[m], task.parameters, H)
+        for m in np.flatnonzero(used)
+    ]
+    taken = Measurements(q.kind[used], q.node[used], np.array(z), q.var[used], q.ahead[used])
+    return replace(task, measurements=taken)
+
+
+def without(states: tuple[int, ...], parameters: tuple[int, ...]) -> Callable[[Case], Case]:
+    """The case with these states known from the start and these parameters (their drives) at zero."""
+
+    def change(case: Case) -> Case:
+        P0, p = case.task.P0.copy(), case.task.parameters.copy()
+        for i in states:
+            P0[i, i] *= KNOWN**2
+        p[list(parameters)] *= KNOWN
+        return replace(case, task=replace(case.task, P0=P0, parameters=p))
+
+    return change
+
+
+SLOW = without((s.EX, s.EY, s.FX, s.FY), (s.P_SD_E, s.P_SD_F))
+TILT = without((s.BAX, s.BAY), ())
+SLIP = without((s.SLIP1, s.SLIP2, s.TURN1, s.TURN2), (s.P_BETA1, s.P_BETA2, s.P_COMPLIANCE, s.P_TURN))
+
+
+def crabless(case: Case) -> Case:
+    """The case without constant crab."""
+    return replace(case, crab=(0.0, 0.0))
+
+
+VARIANTS: Mapping[str, Callable[[Case], Case]] = {
+    "as it is": lambda case: case,
+    "no slow GNSS error": SLOW,
+    "no tilt doubt": TILT,
+    "no crab": crabless,
+    "no slip": SLIP,
+    "no slow error, no tilt doubt": lambda case: SLOW(TILT(case)),
+    "none of the four": lambda case: SLOW(TILT(SLIP(crabless(case)))),
+}
+
+
+def bound(case: Case) -> Bound:
+    """Root mean square over the pass of the posterior standard deviations, m and rad."""
+    task, m = case.task, case.motion
+    filtered = engine_compiled.run_filter(task, case.path)
+    smooth = engine_compiled.run_smoother(task, filtered, case.path)
+    lag = float(case.path[-1, s.LAG])
+    level = (task.node_inputs[:, s.N_ROLL2], task.node_inputs[:, s.N_PITCH2])
+    at = output.at_utc(task.t, m.t, lag, case.path, smooth.P, level)
+    tractor = output.tractor_motion(at, task.parameters, case.crab[0], None)
+    seeder = output.seeder_motion(at, task.parameters, case.crab[1], None)
+    steer = best_steering(
+        m.t,
+        tractor,
+        m.steer_input,
+        case.front_axle,
+        float(task.parameters[s.P_BETA1]),
+        tractor.yaw - seeder.yaw,
+    )
+    return {
+        "lateral1": rms(lateral_sd(tractor)), "yaw1": rms(tractor.sd(2)), "yaw2": rms(seeder.sd(2)),
+        "steer": rms(steer.sd[np.isfinite(steer.sd)]),
+    }  # fmt: skip
+
+
+def lateral_sd(b: BodyMotion) -> np.ndarray:
+    """Standard deviation across the body's heading, m (N,)."""
+    c, sn, C = np.cos(b.yaw), np.sin(b.yaw), b.covariance
+    return np.sqrt(sn**2 * C[:, 0, 0] - 2.0 * sn * c * C[:, 0, 1] + c**2 * C[:, 1, 1])
+
+
+def sample_of(kind: str, seed: int) -> Sample:
+    """A seeded twin of a kind, fields as in benchmarks/accuracy.py."""
+    rng = np.random.default_rng(seed)
+    return make(
+        changed(
+            preset(kind), place__heading_deg=float(rng.uniform(-180.0, 180.0)),
+            soil__slope_east=float(rng.normal() * 0.005), soil__slope_north=float(rng.normal() * 0.005),
+        ),
+        2000 + seed,
+    )  # fmt: skip
+
+
+def mean(rows: list[Bound]) -> Bound:
+    """Root mean square over passes."""
+    return {name: rms(np.array([row[name] for row in rows])) for name in rows[0]}
+
+
+def line(title: str, row: Bound) -> str:
+    """One line of a table."""
+    return f"  {title:30s}" + "".join(f"{row[q] * k:10.3f} {unit:3s}" for q, (k, unit) in QUANTITIES.items())
+
+
+def study(kind: str, passes: int) -> dict[str, Bound]:
+    """Bounds of one kind by variant, the fusion's own error, and the receiver's slow error (all rms)."""
+    rows: dict[str, list[Bound]] = {}
+    for seed in range(passes):
+        of = sample_of(kind, seed)
+        case = case_of(of)
+        for title, change in VARIANTS.items():
+            rows.setdefault(title, []).append(bound(change(case)))
+        e = errors(case.motion, of)
+        rows.setdefault("error of the fusion", []).append({q: rms(e[q][0]) for q in QUANTITIES})
+        slow = rms(receiver_slow_error(of)) if kind != "outage" else float("nan")
+        rows.setdefault("receiver's own slow error", []).append(
+            dict.fromkeys(QUANTITIES, np.nan) | {"lateral1": slow}
+        )
+    return {title: mean(found) for title, found in rows.items()}
+
+
+def verdict(tables: Mapping[str, Mapping[str, Bound]]) -> None:
+    """Each asked figure against its bound."""
+    print("asked for                        bound   reachable")
+    for kind, quantity, asked in ASKED:
+        if kind not in tables:
+            continue
+        scale, unit = QUANTITIES[quantity]
+        beyond = kind == "benign" and quantity == "lateral1"
+        plain = "no slow GNSS error" if beyond else "as it is"
+        value = tables[kind][plain][quantity] * scale
+        name = f"{kind} {quantity}" + (" beyond the receiver" if beyond else "")
+        enough = [v for v in VARIANTS if tables[kind][v][quantity] * scale <= asked]
+        answer = (
+            "yes" if value <= asked else "no; with " + (" or ".join(v for v in enough) or "none of these")
+        )
+        print(f"{name:30s} {asked:5.2f} {value:6.3f} {unit:3s}  {answer}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--passes", type=int, default=2, help="twins of each kind")
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    chosen = parser.parse_args()
+    found = {}
+    for kind in chosen.kinds.split(","):
+        found[kind] = study(kind, chosen.passes)
+        print(f"{kind} ({chosen.passes} passes)" + " " * 20 + "".join(f"{q:>13s}" for q in QUANTITIES))
+        for title, row in found[kind].items():
+            print(line(title, row))
+    verdict(found)
