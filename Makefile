@@ -37,8 +37,8 @@ FUZZ_SECONDS ?= 60
 fuzz: install-fuzz
 	$(BIN)/python fuzz/run.py --seconds $(FUZZ_SECONDS)
 
-install: $(VENV)/.installed-run
-install-dev: $(VENV)/.installed-all
+install: $(VENV)/.compiled
+install-dev: $(VENV)/.installed-all $(VENV)/.compiled
 install-fuzz: $(VENV)/.installed-fuzz
 
 $(BIN)/python:
@@ -52,6 +52,12 @@ $(VENV)/.installed-run: pyproject.toml constraints.txt | $(BIN)/python
 $(VENV)/.installed-all: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) -e ".[all]"
 	touch $@ $(VENV)/.installed-run
+
+# Compiled code is kept on disk beside the sources: made here, so that the first run is as quick as the next.
+$(VENV)/.compiled: | $(VENV)/.installed-run
+	@echo "compiling (once, about half a minute)"; mkdir -p build
+	@$(BIN)/smts-validate run data_samples/field1 -o build/compiled >build/compiled.log 2>&1 || { cat build/compiled.log; exit 1; }
+	touch $@
 
 $(VENV)/.installed-fuzz: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) -e ".[all,fuzz]"

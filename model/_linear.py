@@ -67,5 +67,6 @@ def straight_jacobian(speed: float, p: Floats, tables: Tables, options: Options)
         place[j] = -move
         straight_rates(place, speed, p, tables, options, low)
         place[j] = 0.0
-        result[:, j] = (high - low) / (2.0 * move)
+        for i in range(ROWS):  # not a slice: its check of shapes would be half of this file's compile time
+            result[i, j] = (high[i] - low[i]) / (2.0 * move)
     return result
