@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.signal import correlate
 
 from .formats.speed_csv import SPEED_UNITS, TURN_UNITS
 from .manifest import GRAVITY, Imd, Machine, Manifest, Speed, Wds
@@ -159,9 +160,7 @@ def time_offset(t: Floats, x: Floats, t_ref: Floats, x_ref: Floats) -> tuple[flo
     grid = np.arange(start + spare, stop - spare, GRID)
     a, b = np.interp(grid, t, x), np.interp(grid, t_ref, x_ref)
     reach = round(FARTHEST / GRID)
-    middle = b[reach:-reach] - b[reach:-reach].mean()
-    shifts = range(-reach, reach + 1)
-    scores = np.array([_correlation(a[reach + k : a.size - reach + k], middle) for k in shifts])
+    scores = _correlations(a, b[reach:-reach])
     best = int(np.argmax(np.abs(scores)))
     move = 0.0
     if 0 < best < scores.size - 1:
@@ -171,15 +170,15 @@ def time_offset(t: Floats, x: Floats, t_ref: Floats, x_ref: Floats) -> tuple[flo
     return float((best - reach + move) * GRID), float(scores[best])
 
 
-def _correlation(x: Floats, centred: Floats) -> float:
-    x = x - x.mean()
-    size = float(np.sqrt(_dot(x, x) * _dot(centred, centred)))
-    return _dot(x, centred) / size if size > 0.0 else 0.0
-
-
-def _dot(x: Floats, y: Floats) -> float:
-    """Sum of products; many short calls of a threaded library wait for each other on a busy machine."""
-    return float(np.einsum("i,i->", x, y))
+def _correlations(long: Floats, short: Floats) -> Floats:
+    """Correlation coefficient of `short` (M,) with each window of its length in `long` (N,): (N - M + 1,)."""
+    centred, even = short - short.mean(), long - long.mean()
+    products = correlate(even, centred, mode="valid", method="fft")
+    sums, squares = (np.concatenate([[0.0], np.cumsum(v)]) for v in (even, even**2))
+    total, power = sums[short.size :] - sums[: -short.size], squares[short.size :] - squares[: -short.size]
+    scatter = np.maximum(power - total**2 / short.size, 0.0) * float(np.sum(centred**2))
+    floor = 1.0e-18 * float(squares[-1]) * float(np.sum(centred**2))  # what rounding leaves of a constant
+    return np.asarray(np.where(scatter > floor, products / np.sqrt(np.maximum(scatter, 1.0e-300)), 0.0))
 
 
 def _wheel(stream: ImuStream, sensor: Wds, machine: Machine, streams: Mapping[str, Stream]) -> Finding:
