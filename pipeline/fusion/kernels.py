@@ -73,6 +73,7 @@ from .state import (
     SCALE1,
     SCALE2,
     SECOND_X,
+    SEEDER_HEADING,
     SLIP1,
     SLIP2,
     STILL_AX,
@@ -387,8 +388,8 @@ def predict(kind: int, x: Floats, node: Floats, ahead: float, p: Floats, H: Floa
         H[YAW1], H[HEADING] = 1.0, 1.0
         return x[YAW1] + x[HEADING] + (node[U_WZ] - x[BGZ]) * (ahead + x[LAG])
     if kind == HEADING2:
-        H[YAW2], H[HEADING] = 1.0, 1.0
-        return x[YAW2] + x[HEADING] + (node[U_W2] - x[BGZ2]) * (ahead + x[LAG])
+        H[YAW2], H[SEEDER_HEADING] = 1.0, 1.0
+        return x[YAW2] + x[SEEDER_HEADING] + (node[U_W2] - x[BGZ2]) * (ahead + x[LAG])
     state = _still(kind)
     H[state] = 1.0
     return x[state]

@@ -177,7 +177,7 @@ def active(epochs: Sequence[Epochs]) -> int:
         return s.SIZE
     if not all(e.fixed.all() for e in epochs):
         return s.FY + 1
-    return s.HEADING + 1 if any(np.isfinite(e.heading).any() for e in epochs) else s.ALWAYS
+    return s.SEEDER_HEADING + 1 if any(np.isfinite(e.heading).any() for e in epochs) else s.ALWAYS
 
 
 def with_levels(p: Floats, levels: Levels, epochs: Sequence[Epochs]) -> Floats:
@@ -427,7 +427,7 @@ def starting_state(
     sd[[s.EX, s.EY]], sd[[s.FX, s.FY]], sd[[s.GX, s.GY]] = p[s.P_SD_E], p[s.P_SD_F], p[s.P_SD_G]
     sd[s.SCALE1] = physics.GYRO_SCALE
     sd[s.LAG], sd[s.KAPPA] = lag_sd, physics.RADIUS_SD
-    sd[s.HEADING] = physics.HEADING_SD if p[s.P_ACTIVE] > s.HEADING else 0.0
+    sd[[s.HEADING, s.SEEDER_HEADING]] = physics.HEADING_SD if p[s.P_ACTIVE] > s.HEADING else 0.0
     if p[s.P_SEEDER] > 0.0:
         sd[s.BGZ2], sd[s.SLIP2], sd[s.SCALE2] = physics.GYRO_BIAS, 0.05, physics.GYRO_SCALE
     else:

@@ -35,12 +35,13 @@ TURN1: Final = 21  # m/s, slow lateral velocity at the rear axle while turning h
 TURN2: Final = 22  # m/s, the same at the seeder's axle
 # From here on only passes that need them carry them: products stop at P_ACTIVE.
 ALWAYS: Final = 23
-HEADING: Final = 23  # rad, constant error of a dual-antenna heading
-FX: Final = 24  # m, slow error of positions that are not fixed (float, DGPS, single)
-FY: Final = 25
-GX: Final = 26  # m, slow error of a second receiver
-GY: Final = 27
-SIZE: Final = 28
+HEADING: Final = 23  # rad, constant error of a heading on the tractor (dual antenna, magnetometer)
+SEEDER_HEADING: Final = 24  # rad, the same on the seeder
+FX: Final = 25  # m, slow error of positions that are not fixed (float, DGPS, single)
+FY: Final = 26
+GX: Final = 27  # m, slow error of a second receiver
+GY: Final = 28
+SIZE: Final = 29
 
 # Of the smoothed covariance these rows and columns are kept: all that the bodies' motion needs.
 KEPT: Final = (X, Y, YAW1, V, SLIP1, ROLL, PITCH, YAW2, BGZ, BGZ2, LAG)
