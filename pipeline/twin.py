@@ -212,7 +212,8 @@ def _unit(
     force, rate_seen = inertial.measured(shaken, errors, rate, kind, stream(seed, f"{name} noise"))
     values = [force, rate_seen]
     if plan.errors.magnetometers:
-        values.append(inertial.magnetic(shaken, errors, plan.place.lat, stream(seed, f"{name} magnetometer")))
+        drawn = stream(seed, f"{name} magnetometer")
+        values.append(inertial.magnetic(shaken, errors, plan.place.lat, drawn, plan.errors, rate))
     table = np.column_stack(values)
     arrival = clocks.arrivals(plan.clocks, samples.t, stream(seed, f"{name} arrivals"))
     record = clocks.ImuRecord(

@@ -46,6 +46,7 @@ ACCEL_RANGE = 8.0 * GRAVITY
 GYRO_RANGE = {"imd": math.radians(250.0), "wds": math.radians(500.0)}
 STEPS = 32768.0  # of half the range
 MAG_NOISE, MAG_STEP, MAG_RANGE, HARD_IRON = 0.3e-6, 0.15e-6, 1300e-6, 8e-6
+CURRENT_TIME = 8.0  # s: fans and pumps switch, alternators follow the load
 ENGINE_HZ, ENGINE = 31.0, {"tractor": 0.18, "seeder": 0.06}  # firing frequency at work, amplitude in m/s²
 ROLLING = {"tractor": 0.10, "seeder": 0.045}  # m/s² of broad vibration for each m/s of speed
 VIBRATION_SHARE = 0.03  # of half the sampling rate: vibration lies above
@@ -139,8 +140,17 @@ def earth_field(lat: float) -> Floats:
     return 30e-6 * np.array([0.0, math.cos(latitude), -2.0 * math.sin(latitude)])
 
 
-def magnetic(feel: Feel, errors: UnitErrors, lat: float, rng: np.random.Generator) -> Floats:
-    """What the unit's magnetometer reports, (N, 3) T: earth's field in its axes, hard iron, noise, steps."""
+def magnetic(
+    feel: Feel, errors: UnitErrors, lat: float, rng: np.random.Generator, plan: ErrorPlan, rate: float
+) -> Floats:
+    """What the unit's magnetometer reports, (N, 3) T: earth's field in its axes, bent by soft iron, hard iron, motors'
+    currents, noise, steps."""
     field = np.einsum("nji,j->ni", feel.axes, earth_field(lat)) + errors.hard_iron
-    noisy = field + MAG_NOISE * rng.standard_normal(field.shape)
+    noise = MAG_NOISE * rng.standard_normal(field.shape)
+    if plan.soft_iron > 0.0:
+        field = field + field @ (plan.soft_iron * rng.standard_normal((3, 3)))
+    if plan.current_field > 0.0:
+        drawn = np.column_stack([wander(field.shape[0], 1.0 / rate, CURRENT_TIME, rng) for _ in range(2)])
+        field = field + plan.current_field * (drawn[:, :1] > 0.0) * drawn[:, 1:] * rng.standard_normal(3)
+    noisy = field + noise
     return np.asarray(np.clip(np.round(noisy / MAG_STEP) * MAG_STEP, -MAG_RANGE, MAG_RANGE))

@@ -148,7 +148,8 @@ class ErrorPlan:
     multiply the data-sheet figures of `twin_inertial`. wheel_radius: relative doubt of each wheel's
     radius. lever_arm: doubt of each coordinate of a unit's stated place, m. roll_centre_*: height above
     ground of the axis a body rolls about; None: through its CoM. steer_*: the steering sensor's zero and
-    noise.
+    noise. soft_iron: share of the field that iron near a magnetometer bends aside; current_field: T, of motors
+    and lights that switch.
     """
 
     misalignment_deg: float = 0.2
@@ -163,6 +164,8 @@ class ErrorPlan:
     steer_scale: float = 0.007
     steer_noise_deg: float = 0.08
     magnetometers: bool = True
+    soft_iron: float = 0.0
+    current_field: float = 0.0
 
 
 @dataclass(frozen=True)
