@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-import time
 from pathlib import Path
 
 import numpy as np
@@ -288,21 +287,3 @@ def test_every_line_of_a_real_log_is_read_or_refused_with_a_reason(path: Path) -
     lines = path.read_bytes().split(b"\n")
     empty = sum(1 for line in lines if not line.strip(b"\r"))
     assert gnss.sentences + gnss.rejected_count >= len(lines) - empty
-
-
-@pytest.mark.slow
-def test_a_long_log_is_read_at_three_hundred_thousand_sentences_a_second() -> None:
-    lines = []
-    for k in range(100_000):
-        clock = f"{k // 36000:02d}{k // 600 % 60:02d}{k // 10 % 60:02d}.{k % 10}0"
-        lines.append(f"{1747303262444901074 + k * 100_000_000} {gga(clock)}")
-        lines.append(f"{1747303262445901074 + k * 100_000_000} {sentence('GNVTG,45.0,T,,M,5.4,N,10.0,K,R')}")
-    text = "\r\n".join(lines).encode() + b"\r\n"
-    best = min(_seconds(text) for _ in range(3))
-    assert 200_000 / best > 300_000
-
-
-def _seconds(text: bytes) -> float:
-    start = time.process_time()
-    assert nmea.parse(text, "gps.nmea", "gps", DATE).sentences == 200_000
-    return time.process_time() - start
