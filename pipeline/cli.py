@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import click
 
-from .garbage import seldom_collected
+from .garbage import leave_the_rest, seldom_collected
 
 FAILED = 1
 WRONG_USE = 2
@@ -364,6 +364,8 @@ def main() -> None:
             raise
         _complain(describe(error))
         sys.exit(FAILED)
+    finally:
+        leave_the_rest()
 
 
 def describe(error: BaseException) -> str:

@@ -1,4 +1,4 @@
-"""How often Python looks for garbage in circles while a pass is computed."""
+"""When Python looks for garbage in circles: seldom while a pass is computed, and not at the end."""
 
 from __future__ import annotations
 
@@ -22,3 +22,8 @@ def seldom_collected() -> Iterator[None]:
         yield
     finally:
         gc.set_threshold(*before)
+
+
+def leave_the_rest() -> None:
+    """Before a process ends: what it holds goes with it, and is not searched for circles on the way out."""
+    gc.freeze()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import subprocess
+import sys
 
 import pytest
 from smts_validate.pipeline.garbage import seldom_collected
@@ -19,3 +21,15 @@ def test_garbage_in_circles_goes_still_and_the_setting_comes_back() -> None:
         assert gc.get_stats()[0]["collections"] > runs
         raise ZeroDivisionError
     assert gc.get_threshold() == before
+
+
+def test_a_command_that_ends_leaves_nothing_to_be_searched() -> None:
+    code = (
+        "import atexit, gc, sys\n"
+        "from smts_validate.pipeline import cli\n"
+        "atexit.register(lambda: print(gc.get_freeze_count() > 1000, len(gc.get_objects()) < 1000))\n"
+        "sys.argv = ['smts-validate', '--version']\n"
+        "cli.main()\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.splitlines()[-1] == "True True"
