@@ -12,13 +12,18 @@ from ._common import deep, number
 MOST_WARNINGS = 40
 ABSENT = {
     "wds": (
-        "No wheel-mounted unit (WDS): the speed rests on the GNSS alone, slip is not known, and "
-        "without a steering sensor the tractor's model cannot be tested."
+        "No wheel-mounted unit (WDS): slip is not known, and without a steering sensor the tractor's model "
+        "cannot be tested."
     ),
     "steer": (
         "No steering sensor: the steering comes from the units on the front wheels, where there are any."
     ),
 }
+GNSS_ALONE = "The speed rests on the GNSS alone: an outage is bridged by the accelerometers."
+BUS = (
+    "The bus's speed counts as that of the rear wheels, its scale (radius and slip) found from the GNSS: it bridges "
+    "outages, but does not tell slip from radius."
+)
 COLUMNS = (
     "sensor", "what", "samples", "rate, Hz", "lost", "doubled", "gaps", "longest gap, ms", "drift, ppm",
     "latency, ms",
@@ -40,6 +45,8 @@ def build(view: PassView) -> Section:
     health: Mapping[str, Entry] = view.metrics.get("health") or {}
     blocks: list[Block] = [_sensors(view, health), *_gnss(view, health), *_clock(health)]
     blocks += [Missing(text) for kind, text in ABSENT.items() if not view.manifest.of_kind(kind)]
+    if not view.manifest.of_kind("wds"):
+        blocks.append(Text(BUS if view.manifest.of_kind("speed") else GNSS_ALONE))
     warnings = view.metrics.get("warnings") or []
     return Section("health", "Sensors and warnings", (*blocks, *_warnings(warnings)))
 
