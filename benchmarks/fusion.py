@@ -23,45 +23,24 @@ from smts_validate.pipeline.fusion.prepare import STEP
 from smts_validate.pipeline.fusion.problem import Problem
 from smts_validate.pipeline.fusion.settings import FusionSettings, Levels
 from smts_validate.pipeline.wheels import wheel_motions
+from smts_validate.sensors.draft_text import MACHINE, SEEDER
 from smts_validate.sensors.manifest import parse
 from smts_validate.sensors.streams import FieldLog, GnssStream, ImuStream, WheelStream
 
 REFERENCE_STEPS = 400
-MANIFEST = """
-schema = 1
+RUN = """schema = 1
 [run]
 id = "bench"
 date = 2025-05-14
 [operating]
 speed = 2.5
 tyre_pressure_mpa = 0.12
-[machine.tractor]
-mass = 5200.0
-yaw_inertia = 9500.0
-front_track = 1.9
-rear_track = 1.8
-front_axle = 1.45
-rear_axle = 1.15
-hitch = 2.05
-cog_height = 1.0
-front_wheel_radius = 0.62
-rear_wheel_radius = 0.8
-[machine.seeder]
-mass = 2900.0
-yaw_inertia = 4500.0
-hitch_to_com = 2.7
-com_to_axle = 0.3
-track = 3.6
-cog_height = 0.9
-wheel_radius = 0.5
-draft = 9000.0
 """
-TYRE = "cornering_stiffness = 6.0e4\nfriction = 0.6\nrolling_resistance = 0.08\n"
 
 
 def manifest_text() -> str:
     """Nine units: three IMDs, four WDSs, the receiver, and one more IMD on the tractor."""
-    text = MANIFEST + "".join(f"[machine.tyres.{name}]\n{TYRE}" for name in ("front", "rear", "seeder"))
+    text = RUN + MACHINE + SEEDER
     for i, body in enumerate(("tractor", "tractor", "seeder", "seeder")):
         text += f'[sensors.imd{i}]\nkind = "imd"\nbody = "{body}"\nfile = "{i}"\n'
         text += "position = [0.1, 0.0, 0.0]\nrate = 100.0\n"

@@ -18,6 +18,7 @@ with atheris.instrument_imports(include=["smts_validate.sensors"]):
     import numpy as np
     from smts_validate.sensors import manifest
     from smts_validate.sensors.cdr import message_type, serialise
+    from smts_validate.sensors.draft_text import MACHINE
     from smts_validate.sensors.log import Attachment, Channel, LogError, messages, write_channels
     from smts_validate.sensors.log_read import streams_of
     from smts_validate.sensors.mcap_records import McapError
@@ -26,34 +27,17 @@ with atheris.instrument_imports(include=["smts_validate.sensors"]):
 
 CORPUS = Path(__file__).resolve().parent / "corpus" / "mcap"
 NAME = Path("fuzzed.mcap")
-MANIFEST = """
-schema = 1
+MANIFEST = (
+    """schema = 1
 [run]
 id = "f"
 date = 2025-05-14
 [operating]
 speed = 2.8
 tyre_pressure_mpa = 0.12
-[machine.tractor]
-mass = 5200.0
-yaw_inertia = 9500.0
-front_track = 1.90
-rear_track = 1.80
-front_axle = 1.45
-rear_axle = 1.15
-hitch = 2.05
-cog_height = 1.0
-front_wheel_radius = 0.62
-rear_wheel_radius = 0.80
-[machine.tyres.front]
-cornering_stiffness = 6.0e4
-friction = 0.6
-rolling_resistance = 0.08
-[machine.tyres.rear]
-cornering_stiffness = 6.0e4
-friction = 0.6
-rolling_resistance = 0.08
-[sensors.i]
+"""
+    + MACHINE
+    + """[sensors.i]
 kind = "imd"
 body = "tractor"
 topic = "/i/imu"
@@ -73,6 +57,7 @@ kind = "speed"
 topic = "/o"
 rate = 10.0
 """
+)
 GIVEN = (manifest.parse(MANIFEST), MANIFEST)
 
 

@@ -14,6 +14,7 @@ from smts_validate.pipeline.campaign_settings import CampaignSettings
 from smts_validate.pipeline.fusion.motion import BodyMotion, Motion, Origin, SteerInput
 from smts_validate.pipeline.result import PassResult, dump_json, write_result
 from smts_validate.sensors import manifest as manifests
+from smts_validate.sensors.draft_text import MACHINE, SEEDER
 
 Floats = NDArray[np.float64]
 
@@ -24,7 +25,8 @@ DRAWBAR = 5.0  # m, between the two centres of mass
 HEADING = 0.4  # rad, of the row from East
 T0 = 1_747_303_260.0  # s, UTC
 
-TOML = """schema = 1
+TOML = (
+    """schema = 1
 [run]
 id = "sample-1"
 field = "Lower <b>Meadow</b>"
@@ -35,26 +37,9 @@ date = 2025-05-15
 [operating]
 speed = 2.5
 tyre_pressure_mpa = 0.11
-[machine.tractor]
-mass = 5200.0
-yaw_inertia = 9500.0
-front_track = 1.90
-rear_track = 1.80
-front_axle = 1.45
-rear_axle = 1.15
-hitch = 2.05
-cog_height = 1.0
-front_wheel_radius = 0.62
-rear_wheel_radius = 0.80
-[machine.tyres.front]
-cornering_stiffness = 6.0e4
-friction = 0.6
-rolling_resistance = 0.08
-[machine.tyres.rear]
-cornering_stiffness = 9.0e4
-friction = 0.6
-rolling_resistance = 0.08
-[sensors.imd1]
+"""
+    + MACHINE
+    + """[sensors.imd1]
 kind = "imd"
 body = "tractor"
 file = "imd1.csv"
@@ -70,28 +55,18 @@ soil_moisture_pct = { "0-5cm" = 21.4, "5-10cm" = 23.9 }
 soil_hardness_mpa = { "0-5cm" = 1.1, "5-10cm" = 1.4 }
 notes = "dry <script>alert(1)</script> & windy"
 """
+)
 
-SEEDER_TOML = """
-[machine.seeder]
-mass = 3300.0
-yaw_inertia = 5200.0
-hitch_to_com = 3.0
-com_to_axle = 0.35
-track = 3.60
-cog_height = 0.9
-wheel_radius = 0.50
-draft = 9000.0
-[machine.tyres.seeder]
-cornering_stiffness = 4.0e4
-friction = 0.6
-rolling_resistance = 0.08
-[sensors.imd2]
+SEEDER_TOML = (
+    SEEDER
+    + """[sensors.imd2]
 kind = "imd"
 body = "seeder"
 file = "imd2.csv"
 position = [0.0, 0.0, 0.2]
 rate = 100.0
 """
+)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from smts_validate.model.inputs import Controls, Driver, ForceSeries, coloured_n
 from smts_validate.model.machine import Machine
 from smts_validate.model.simulate import SimulatedRun, initial_state, simulate
 from smts_validate.pipeline.fusion.motion import BodyMotion, Motion, Origin, SteerInput
+from smts_validate.sensors.draft_text import MACHINE, SEEDER
 from smts_validate.sensors.manifest import Manifest, parse
 
 Floats = NDArray[np.float64]
@@ -23,8 +24,8 @@ T0 = 1_747_216_800.0
 STEP = 0.02
 DRAW_EVERY = 12  # samples of 1/50 s between the draws' times
 
-RUN_TOML = """
-schema = 1
+RUN_TOML = (
+    """schema = 1
 [run]
 id = "synthetic-1"
 field = "field1"
@@ -35,39 +36,10 @@ date = 2025-05-14
 [operating]
 speed = 2.8
 tyre_pressure_mpa = 0.10
-[machine.tractor]
-mass = 5200.0
-yaw_inertia = 9500.0
-front_track = 1.90
-rear_track = 1.80
-front_axle = 1.45
-rear_axle = 1.15
-hitch = 2.05
-cog_height = 1.0
-front_wheel_radius = 0.62
-rear_wheel_radius = 0.80
-[machine.seeder]
-mass = 3300.0
-yaw_inertia = 5200.0
-hitch_to_com = 3.0
-com_to_axle = 0.35
-track = 3.60
-cog_height = 0.9
-wheel_radius = 0.50
-draft = 9000.0
-[machine.tyres.front]
-cornering_stiffness = 6.0e4
-friction = 0.6
-rolling_resistance = 0.08
-[machine.tyres.rear]
-cornering_stiffness = 9.0e4
-friction = 0.6
-rolling_resistance = 0.08
-[machine.tyres.seeder]
-cornering_stiffness = 5.0e4
-friction = 0.6
-rolling_resistance = 0.08
-[sensors.imd1]
+"""
+    + MACHINE
+    + SEEDER
+    + """[sensors.imd1]
 kind = "imd"
 body = "tractor"
 file = "imd1.csv"
@@ -85,6 +57,7 @@ file = "gps.nmea"
 position = [0.0, 0.0, 2.1]
 rate = 10.0
 """
+)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.typesys import Stores, get_typestore
 from smts_validate.sensors import manifest
+from smts_validate.sensors.draft_text import MACHINE
 from smts_validate.sensors.ros_messages import definition
 from smts_validate.sensors.streams import (
     FieldLog,
@@ -27,8 +28,8 @@ SHARED = Path(__file__).resolve().parents[3] / "shared"
 REAL = SHARED / "real"
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 
-MACHINE = """
-schema = 1
+RUN = (
+    """schema = 1
 [run]
 id = "sample-1"
 field = "field1"
@@ -38,26 +39,9 @@ date = 2025-05-14
 [operating]
 speed = 2.8
 tyre_pressure_mpa = 0.12
-[machine.tractor]
-mass = 5200.0
-yaw_inertia = 9500.0
-front_track = 1.90
-rear_track = 1.80
-front_axle = 1.45
-rear_axle = 1.15
-hitch = 2.05
-cog_height = 1.0
-front_wheel_radius = 0.62
-rear_wheel_radius = 0.80
-[machine.tyres.front]
-cornering_stiffness = 6.0e4
-friction = 0.6
-rolling_resistance = 0.08
-[machine.tyres.rear]
-cornering_stiffness = 6.0e4
-friction = 0.6
-rolling_resistance = 0.08
 """
+    + MACHINE
+)
 
 OWN_SENSORS = """
 [sensors.imd1]
@@ -103,7 +87,7 @@ def _holes(rng: np.random.Generator, values: Any) -> Any:
 def a_log(seed: int = 0, seconds: float = 20.0) -> FieldLog:
     """A pass with every kind of stream, noise for values, and holes wherever a stream may have them."""
     rng = np.random.default_rng(seed)
-    text = MACHINE + OWN_SENSORS
+    text = RUN + OWN_SENSORS
     streams: dict[str, Stream] = {}
     for name, kind in (("imd1", ImuStream), ("wds1", WheelStream)):
         t, arrival = _times(rng, seconds, 100.0)
@@ -159,7 +143,7 @@ rate = 10.0
 def topic_manifest(folder: Path, sensors: str = TOPIC_SENSORS) -> Path:
     """A tractor-only manifest whose sensors name topics, written to a file."""
     path = folder / "topics.toml"
-    path.write_text(MACHINE + sensors)
+    path.write_text(RUN + sensors)
     return path
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from smts_validate.sensors.draft_text import MACHINE
 
 Floats = NDArray[np.float64]
 START = dt.datetime(2025, 5, 14, 10, 0, 0, tzinfo=dt.UTC).timestamp()
@@ -17,33 +18,17 @@ METRES_A_DEGREE = 111_226.0  # of latitude, near 50° north, on the ellipsoid
 METRES_A_DEGREE_EAST = 71_615.0
 AXLE, ANTENNA = 1.15, (0.4, 0.0, 2.1)
 
-MANIFEST = """schema = 1
+MANIFEST = (
+    """schema = 1
 [run]
 id = "{id}"
 date = 2025-05-14
 [operating]
 speed = 2.5
 tyre_pressure_mpa = 0.12
-[machine.tractor]
-mass = 5200.0
-yaw_inertia = 9500.0
-front_track = 1.90
-rear_track = 1.80
-front_axle = 1.45
-rear_axle = 1.15
-hitch = 2.05
-cog_height = 1.0
-front_wheel_radius = 0.62
-rear_wheel_radius = 0.80
-[machine.tyres.front]
-cornering_stiffness = 6.0e4
-friction = 0.6
-rolling_resistance = 0.08
-[machine.tyres.rear]
-cornering_stiffness = 9.0e4
-friction = 0.6
-rolling_resistance = 0.08
-[sensors.imd1]
+"""
+    + MACHINE
+    + """[sensors.imd1]
 kind = "imd"
 body = "tractor"
 file = "imd1.csv"
@@ -57,6 +42,7 @@ position = [0.4, 0.0, 2.1]
 rate = 10.0
 {rest}
 """
+)
 
 
 @dataclass(frozen=True)

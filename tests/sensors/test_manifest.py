@@ -9,22 +9,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from raw_samples import MANIFEST
 from smts_validate.sensors import manifest
+from smts_validate.sensors.draft_text import SEEDER
 from smts_validate.sensors.manifest import ManifestError
 
-SEEDER = """[machine.seeder]
-mass = 3300.0
-yaw_inertia = 5200.0
-hitch_to_com = 3.0
-com_to_axle = 0.35
-track = 3.60
-cog_height = 0.9
-wheel_radius = 0.50
-draft = 9000.0
-[machine.tyres.seeder]
-cornering_stiffness = 5.0e4
-friction = 0.6
-rolling_resistance = 0.08
-[sensors.imd2]
+TRAILED = (
+    SEEDER
+    + """[sensors.imd2]
 kind = "imd"
 body = "seeder"
 file = "imd2.csv"
@@ -38,7 +28,8 @@ rate = 100.0
 [conditions]
 anything = { goes = ["here", 1] }
 """
-WHOLE = MANIFEST.format(id="field1-b-east-1", imd1="", rest=SEEDER)
+)
+WHOLE = MANIFEST.format(id="field1-b-east-1", imd1="", rest=TRAILED)
 
 
 def complaint(old: str, new: str, text: str = WHOLE) -> str:
