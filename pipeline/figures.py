@@ -238,6 +238,12 @@ class _Recorder(RendererBase):
         """Size of the figure."""
         return self.width, self.height
 
+    def get_text_width_height_descent(
+        self, s: str, prop: FontProperties, ismath: Any
+    ) -> tuple[float, float, float]:
+        """Extent of a line of words; reports use the same ones over and over."""
+        return _extent_of(s, float(prop.get_size_in_points()), ismath)
+
     def draw_path(
         self, gc: GraphicsContextBase, path: Path, transform: Transform, rgbFace: Any = None
     ) -> None:
@@ -276,6 +282,14 @@ class _Recorder(RendererBase):
         width = float(self.get_text_width_height_descent(s, prop, ismath)[0])
         anchor = ANCHORS[mtext.get_horizontalalignment()] if mtext is not None and not angle else 0.5
         self.marks.append(Words(float(x), float(y), s, size, to_hex(gc.get_rgb()), angle, width, anchor))
+
+
+@lru_cache(maxsize=4096)
+def _extent_of(text: str, size: float, ismath: Any) -> tuple[float, float, float]:
+    """Width, height and descent, pt, in the reports' font."""
+    font = FontProperties(family=RC["font.family"], size=size)
+    width, height, descent = RendererBase().get_text_width_height_descent(text, font, ismath)
+    return float(width), float(height), float(descent)
 
 
 ANCHORS = {"left": 0.0, "center": 0.5, "right": 1.0}
