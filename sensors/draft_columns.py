@@ -89,6 +89,7 @@ def guess_speeds(names: Sequence[str]) -> tuple[str | None, list[tuple[str, str 
     """A bus's column of time (None: there is none), and its columns of speed, each with the wheel that it tells."""
     bare = {name: _bare(name) for name in names if name}
     time = _by_words(bare, HOST_WORDS)
+    bare = {name: _bare(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)) for name in bare}
     wheels: dict[str, str] = {}
     for wheel, pattern in WHEEL_MARKS.items():
         for name, plain in bare.items():

@@ -99,6 +99,7 @@ def test_a_steering_table_is_found_by_its_words(tmp_path: Path) -> None:
         ),
         ("vehicle_speed,gear", 2.5, {None: "m/s"}),
         ("Wheel-based machine speed,x", 2500.0, {None: "mm/s"}),
+        ("WheelBasedVehicleSpeed [km/h],x", 9.0, {None: "km/h"}),
         ("rrspeed (mph),FL_speed (m/s)", 5.0, {"front_left": "m/s", "rear_right": "mph"}),
         ("engine_speed_limit,throttle", 9.0, {}),
     ],
