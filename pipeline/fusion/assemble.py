@@ -174,6 +174,7 @@ def noise_table(known: Known, levels: Levels, free: tuple[str, ...], p: Floats) 
             },
             "slow_part": {"value": float(p[s.P_SD_E if e.first else s.P_SD_G]), "unit": "m", "source": "not white"},
         }  # fmt: skip
+    magnetometers(known, table)
     table["levels"] = {
         name: {"value": float(getattr(levels, name)), "source": "innovations" if name in free else "assumed"}
         for name in (
@@ -189,6 +190,15 @@ def noise_table(known: Known, levels: Levels, free: tuple[str, ...], p: Floats) 
         )
     }
     return table
+
+
+def magnetometers(known: Known, table: dict[str, dict[str, Any]]) -> None:
+    """Every magnetometer into the noise table, in place: the deviation of its readings, or why it is not used."""
+    for name, (reason, sd) in known.magnetic.items():
+        told: dict[str, Any] = {"source": f"not used: {reason}"}
+        if not reason:
+            told = {"value": sd, "unit": "rad", "source": "consistent with the smoothed yaw"}
+        table[name] = table.get(name, {}) | {"magnetometer": told}
 
 
 def front_slip(best: Steering) -> dict[str, dict[str, Any]]:

@@ -17,6 +17,7 @@ from .assemble import Settled, assemble
 from .draws import posterior_errors
 from .engine_compiled import Filtered, Smoothed
 from .known import LONG, Known, build, lag_sd, levelled, prepare
+from .magnetic import with_magnetometers
 from .motion import Motion
 from .prepare import STEP
 from .problem import Measurements, Problem
@@ -60,6 +61,8 @@ def solved(
     if options.adapt:
         free = free_levels(known)
         levels = tune.best_levels(levels, free, likelihood_of(known, options, path))
+    if options.magnetometers:
+        known = with_magnetometers(known, path)
     return known, options, levels, free, settle(known, options, levels, path), wheels
 
 

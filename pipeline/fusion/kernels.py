@@ -37,6 +37,8 @@ from .state import (
     LAG,
     LEVEL_PITCH,
     LEVEL_ROLL,
+    MAGNETIC1,
+    MAGNETIC2,
     N_PITCH2,
     N_ROLL2,
     P_ANT2_X,
@@ -384,10 +386,10 @@ def predict(kind: int, x: Floats, node: Floats, ahead: float, p: Floats, H: Floa
     if kind == STILL_AX:
         H[BAX], H[PITCH] = 1.0, -GRAVITY / math.cos(x[PITCH]) ** 2
         return x[BAX] - GRAVITY * math.tan(x[PITCH])
-    if kind == HEADING1:
+    if kind in (HEADING1, MAGNETIC1):
         H[YAW1], H[HEADING] = 1.0, 1.0
         return x[YAW1] + x[HEADING] + (node[U_WZ] - x[BGZ]) * (ahead + x[LAG])
-    if kind == HEADING2:
+    if kind in (HEADING2, MAGNETIC2):
         H[YAW2], H[SEEDER_HEADING] = 1.0, 1.0
         return x[YAW2] + x[SEEDER_HEADING] + (node[U_W2] - x[BGZ2]) * (ahead + x[LAG])
     state = _still(kind)

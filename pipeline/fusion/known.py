@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -20,6 +21,7 @@ from .settings import FusionSettings, Levels
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 CREEP = 0.5  # m/s
 LONG = 60_000  # nodes: longer passes get a quarter of the draws and one relinearisation, which a steady row needs least
@@ -37,6 +39,8 @@ class Known:
 
     speed : (N,) m/s over ground, NaN where unknown; forwards : (N,) 1 or -1; yaw : approximate, (N,) each;
     bias : (4,) mean gyro readings at rest (tractor x, y, z, seeder z), None without a rest
+    azimuths : kind, nodes, rad, variance of magnetometers that prove consistent; magnetic : of each magnetometer why it
+    is not used ("" where it is), and the deviation of a reading, rad
     """
 
     log: FieldLog
@@ -53,6 +57,8 @@ class Known:
     nodes: Floats = field(default_factory=lambda: np.empty((0, s.N_SIZE)))
     yaw: tuple[Floats, Floats] = field(default_factory=lambda: (np.empty(0), np.empty(0)))
     bias: Floats | None = None
+    azimuths: tuple[tuple[int, Ints, Floats, float], ...] = ()
+    magnetic: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
 
 def lag_sd(log: FieldLog) -> float:
@@ -111,6 +117,8 @@ def _aligned(known: Known, forwards: Floats) -> Known:
         for column, i in ((s.U_WZ, 2), (s.U_W2, 3))
     ]
     first = [initial.heading_offset(known.t, turn, known.epochs[0], forwards) for turn in turned]
+    # each is a circular mean of its own: heading due west, one may come out at +π and the other at -π
+    first[1] += 2.0 * math.pi * round((first[0] - first[1]) / (2.0 * math.pi))
     return replace(known, bias=bias, yaw=(first[0] + turned[0], first[1] + turned[1]))
 
 
@@ -145,6 +153,8 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
     """The estimation problem at given levels, its GNSS epochs placed by `lag`."""
     p = problem.parameters_of(known.log.manifest, known.epochs, known.one, known.two)
     p = problem.with_levels(p, levels, known.epochs)
+    if known.azimuths:
+        p[s.P_ACTIVE] = max(p[s.P_ACTIVE], s.SEEDER_HEADING + 1)
     p[s.P_TILT] = 1.0 if options.tilt_compensation else 0.0
     q = problem.measurements_of(
         known.t,
@@ -158,12 +168,16 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
         known.yaw,
         creeping(known),
     )
+    q = problem.with_azimuths(q, known.azimuths, lag)
     x0, P0 = problem.starting_state(
         known.log.manifest, p, initial.first_position(known.epochs, known.t[0]),
         (float(known.yaw[0][0]), float(known.yaw[1][0])), float(np.nan_to_num(known.speed[0]) * known.forwards[0]),
         lag_sd(known.log), known.nodes, known.bias,
     )  # fmt: skip
     x0[s.LAG] = lag
+    for kind, *_ in known.azimuths:
+        constant = s.HEADING if kind == s.MAGNETIC1 else s.SEEDER_HEADING
+        P0[constant, constant] = problem.AZIMUTH_FREE**2
     if known.wheel is not None:
         P0[s.KAPPA, s.KAPPA] = known.wheel.scale_sd**2
     inject = new_float_spans(known, lag, p)

@@ -32,6 +32,9 @@ DRIVE_WINDOW = 51  # nodes: acceleration by the wheels is a slope over 1 s
 STILL_SD = 0.005  # m/s
 REST_GYRO_SD = 0.0003  # rad/s, least noise of a 20 ms mean at rest
 FIXED = (4.0,)
+AZIMUTH_FREE = 1.0  # rad: nothing is known of a magnetometer's constant error
+
+Part = tuple[Ints, Ints, Floats, Floats, Floats]  # kind, node, value, variance, seconds ahead of the node
 
 
 @dataclass(frozen=True)
@@ -242,12 +245,24 @@ def measurements_of(
         parts += _gnss(t, e, levels, lag, yaw, nodes, p)
     parts += _motion(nodes, still | slow, still, levels, p, wheel)
     parts += _rest(nodes, still, p) + _level(t, epochs, yaw[0])
+    return sorted_parts(parts)
+
+
+def sorted_parts(parts: Sequence[Part]) -> Measurements:
+    """All parts' measurements in the order of nodes, within a node of kinds."""
     kind, node, z, var, ahead = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.lexsort((kind, node))
     return Measurements(kind[order], node[order], z[order], var[order], ahead[order])
 
 
-Part = tuple[Ints, Ints, Floats, Floats, Floats]
+def with_azimuths(
+    q: Measurements, azimuths: Sequence[tuple[int, Ints, Floats, float]], lag: float
+) -> Measurements:
+    """With magnetic azimuths (kind, node, rad, variance) at the nodes themselves, which are `lag` ahead of UTC."""
+    if not azimuths:
+        return q
+    parts = [_part(kind, node, z, var, -lag) for kind, node, z, var in azimuths]
+    return sorted_parts([(q.kind, q.node, q.z, q.var, q.ahead), *parts])
 
 
 def _part(kind: int, node: Ints, z: Floats, var: Floats | float, ahead: Floats | float = 0.0) -> Part:

@@ -12,6 +12,7 @@ class FusionSettings:
 
     engine : "compiled" (numba, the default) or "filterpy" (the readable reference); equal results
     tilt_compensation : False only to show what the antenna's sway costs
+    magnetometers : use those that prove consistent; False to show what that is worth
     adapt : estimate slip and noise levels from the innovations' likelihood; False keeps the starting values
     passes : relinearisations about the smoothed path (Gauss-Newton) after the first filter pass
     draws : posterior draws for the comparison's uncertainty; seed : of their generator
@@ -19,6 +20,7 @@ class FusionSettings:
 
     engine: Literal["compiled", "filterpy"] = "compiled"
     tilt_compensation: bool = True
+    magnetometers: bool = True
     adapt: bool = True
     passes: int = 2
     draws: int = 64
