@@ -293,6 +293,10 @@ def sweep(ranges: tuple[str, ...], out: Path, workers: int | None, as_json: bool
 )  # fmt: skip
 @click.option("--bound", "bounds", multiple=True, metavar="NAME=LOW:HIGH", help="Repeatable; SI units.")
 @click.option("--prior", "priors", multiple=True, metavar="NAME=MEAN:SD", help="What is known before.")
+@click.option(
+    "--manifest", "manifests", multiple=True, type=click.Path(path_type=Path),
+    help="run.toml for logs that carry none, one a pass, in order.",
+)  # fmt: skip
 @click.option("--priors", "file", type=click.Path(path_type=Path), help="TOML of priors and bounds.")
 @click.option(
     "--folds", type=click.Choice(["cell", "field", "direction", "pass"]), default="cell", show_default=True,
@@ -303,7 +307,8 @@ def sweep(ranges: tuple[str, ...], out: Path, workers: int | None, as_json: bool
 @common
 def identify(
     passes: tuple[Path, ...], free: tuple[str, ...], bounds: tuple[str, ...], priors: tuple[str, ...],
-    file: Path | None, folds: str, out: Path, require_adequate: bool, as_json: bool,
+    manifests: tuple[Path, ...], file: Path | None, folds: str, out: Path, require_adequate: bool,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Estimate parameters from PASSES (logs, raw folders), judged on passes that were not used."""
     from . import console
@@ -312,10 +317,11 @@ def identify(
     from .identify_wishes import asked
 
     if free == ("help",):
-        emit({"parameters": names_of(passes[0])}, as_json, console.parameter_names)
+        emit({"parameters": names_of(passes[0], *manifests[:1])}, as_json, console.parameter_names)
         return
     try:
-        document = identify_to_folder(passes, asked(free, bounds, priors, file), folds, out, progress)
+        wanted = asked(free, bounds, priors, file)
+        document = identify_to_folder(passes, wanted, folds, out, progress, manifests)
     except WrongUseError as error:
         raise click.UsageError(str(error), click.get_current_context()) from None
     emit(document, as_json, console.identified)

@@ -293,15 +293,21 @@ def identify_to_folder(
     kind: str,
     out: Path,
     say: Say = lambda message: None,
+    manifests: Sequence[Path] = (),
 ) -> dict[str, Any]:
     """Identify from passes as they lie (logs, raw folders); `identify.json` and a report land in `out`.
 
+    manifests : one a source, for logs that carry none; empty: each has its own
     Gives its document. Raises IdentifyError, and the stages' own errors.
     """
+    if manifests and len(manifests) != len(sources):
+        raise WrongUseError(
+            f"--manifest: {len(manifests)} for {len(sources)} passes; give one a pass, in order"
+        )
     recordings, free = [], None
-    for source in sources:
+    for source, manifest in zip(sources, manifests or [None] * len(sources), strict=True):
         say(f"reading and fusing {source}")
-        log = read_source(source)
+        log = read_source(source, manifest)
         machine = machine_of(log)
         free = _checked(wanted, machine) if free is None else free
         recordings.append(Recording(log.manifest, fuse(log), machine, log.sha256))
@@ -320,6 +326,6 @@ def _checked(wanted: Asked, machine: Machine) -> dict[str, Wish]:
     return free
 
 
-def names_of(source: Path) -> tuple[dict[str, Any], ...]:
+def names_of(source: Path, manifest: Path | None = None) -> tuple[dict[str, Any], ...]:
     """Every parameter of a pass's machine that can be freed: name, short form, stated value."""
-    return listed(machine_of(read_source(source)))
+    return listed(machine_of(read_source(source, manifest)))

@@ -124,12 +124,11 @@ def fit(stretches: Sequence[Stretch], parameters: Sequence[Parameter], seed: int
     while free:
         optimum, weights = _solve(stretches, layout, free)
         slopes = jacobian_of(stretches, free, optimum)
-        share = np.array([p.share(float(z)) for p, z in zip(free, optimum, strict=True)])
-        found = worst(
-            _information(slopes / share, weights), prior_information(free) / np.outer(share, share), free
-        )
+        found = worst(_information(slopes, weights), prior_information(free), free)
         if found is None:
-            return _finished(stretches, layout, free, held, optimum, weights, slopes, seed)
+            one = _finished(stretches, layout, free, held, optimum, weights, slopes, seed)
+            if (found := lost(one)) is None:
+                return one
         held.append(found)
         free = [p for p in free if p.name != found.name]
     raise IdentifyError(
@@ -219,7 +218,7 @@ def worst(information: Floats, prior: Floats, free: Sequence[Parameter]) -> Held
 
     information : (P, P) of the passes on relative changes; prior : (P, P) that the priors add
     """
-    alone = _alone(information)
+    alone = _alone(information + prior)
     if float(alone.max()) > INSENSITIVE:
         i = int(np.argmax(alone))
         return Held(
@@ -233,6 +232,18 @@ def worst(information: Floats, prior: Floats, free: Sequence[Parameter]) -> Held
         return None
     words = f"is lost among the others: standard error {_percent(sd[i])}, {_percent(alone[i])} with all else known"
     return Held(free[i].name, words, free[int(np.argmax(correlation[i]))].name if len(free) > 1 else "")
+
+
+def lost(found: Fit) -> Held | None:
+    """The parameter whose standard error, once autocorrelation is paid for, says nothing of it; None: all are told."""
+    i = int(np.argmax(found.sd))
+    if not float(found.sd[i]) > UNCERTAIN:
+        return None
+    others = np.abs(found.correlation[i])
+    others[i] = -1.0
+    partner = found.parameters[int(np.argmax(others))].name if len(found.parameters) > 1 else ""
+    words = f"is lost in the scatter of the windows: standard error {_percent(found.sd[i])}"
+    return Held(found.parameters[i].name, words, partner)
 
 
 def collinear(information: Floats, prior: Floats, free: Sequence[Parameter]) -> Held | None:

@@ -67,10 +67,6 @@ class Parameter:
             return sd * self.value(z) ** 2 / self.stated
         return sd * (self.value(z) if self.positive else self.scale)
 
-    def share(self, z: float) -> float:
-        """Change of the value by that of z, as a share of the value (of the scale where it may be 0)."""
-        return self.spread(z, 1.0) / (self.value(z) if self.positive else self.scale)
-
     def end(self, z: float) -> float | None:
         """The value at an interval's end z; None where the parameter's bound comes first."""
         return self.value(z) if self.change(self.low) < z < self.change(self.high) else None

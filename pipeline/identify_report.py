@@ -9,7 +9,7 @@ from typing import Any
 
 from .report import write_pages
 from .report_blocks import Block, Section, Table, Text
-from .report_head import Head
+from .report_head import Head, Number
 
 Document = dict[str, Any]
 
@@ -32,7 +32,7 @@ def write_report(document: Document, out: Path, date: dt.date) -> Path:
 
 def head_of(document: Document) -> Head:
     """The first screen: which parameters, from how many passes, and the verdict of those held out."""
-    names = ", ".join(p["parameter"] for p in document["parameters"])
+    names = ", ".join(brief(p["parameter"]) for p in document["parameters"])
     passes, verdict = document["passes"], document["verdict"]
     return Head(
         title="Identification of parameters",
@@ -41,11 +41,21 @@ def head_of(document: Document) -> Head:
         verdict_label="verdict of the passes held out",
         meaning="Each pass was replayed with parameters estimated without it and without the others of its fold.",
         reasons=tuple(verdict["reasons"]),
-        numbers=(),
+        numbers=tuple(_headline(document, kind) for kind in ("trajectory", "yaw")),
         scope="",
         footer=f"From {len(passes)} passes; threshold {verdict['threshold_percent']:g} %.",
         short="Identification of parameters",
     )
+
+
+def _headline(document: Document, kind: str) -> Number:
+    """A held-out discrepancy beside those before and after."""
+    values = {
+        stage: "–" if (entry := found["discrepancy"]) is None else percent(entry[kind]["combined"])
+        for stage, found in document["stages"].items()
+    }
+    details = (("as stated", f"{values['before']} %"), ("fitted", f"{values['after']} %"))
+    return Number(f"{kind}, held out", f"{values['held_out']} %", "", details)
 
 
 def sections_of(document: Document) -> tuple[Section, ...]:
@@ -61,7 +71,7 @@ def parameter_blocks(document: Document) -> tuple[Block, ...]:
     """Estimates, correlations, and what was held at its stated value."""
     rows = tuple(
         (
-            p["parameter"], number(p["stated"]), number(p["estimate"]), number(p["standard_error"]),
+            brief(p["parameter"]), number(p["stated"]), number(p["estimate"]), number(p["standard_error"]),
             number(p["standard_error_uncorrected"]), span(p["interval"]), span(p["profile_interval"]),
             "yes" if p["at_bound"] else "no",
         )
@@ -83,21 +93,37 @@ def parameter_blocks(document: Document) -> tuple[Block, ...]:
         ),
         rows,
     )
-    return (estimates, correlation_table(document), *held_words(document["held"]))
+    return (
+        estimates,
+        *prior_words(document["parameters"]),
+        correlation_table(document),
+        *held_words(document["held"]),
+    )
+
+
+def prior_words(parameters: Sequence[Document]) -> tuple[Text, ...]:
+    """A sentence for each parameter of which something was known before."""
+    return tuple(
+        Text(f"Known before of {brief(p['parameter'])}: {number(p['prior_mean'])} ± {number(p['prior_sd'])}.")
+        for p in parameters
+        if p["prior_sd"] is not None
+    )
 
 
 def correlation_table(document: Document) -> Table:
-    """Correlation matrix of the estimates."""
+    """Correlation matrix of the estimates: its lower half, columns by the rows' numbers."""
     names, matrix = document["correlation"]["parameters"], document["correlation"]["matrix"]
     rows = tuple(
-        (name, *(f"{value:.2f}" for value in line)) for name, line in zip(names, matrix, strict=True)
+        (f"{i + 1}: {brief(name)}", *(f"{v:.2f}" for v in line[: i + 1]), *("",) * (len(names) - i - 1))
+        for i, (name, line) in enumerate(zip(names, matrix, strict=True))
     )
-    return Table("correlations", "Correlation of the estimates.", ("parameter", *names), rows)
+    heads = (str(i + 1) for i in range(len(names)))
+    return Table("correlations", "Correlation of the estimates.", ("parameter", *heads), rows)
 
 
 def held_words(held: Sequence[Document]) -> tuple[Text, ...]:
     """A sentence for each parameter that was held."""
-    return tuple(Text(f"Held at its stated value: {h['name']} {h['reason']}.") for h in held)
+    return tuple(Text(f"Held at its stated value: {brief(h['name'])} {h['reason']}.") for h in held)
 
 
 def stages_table(document: Document) -> Table:
@@ -144,13 +170,11 @@ def fold_blocks(document: Document) -> tuple[Block, ...]:
     if not document["folds"]:
         return (Text("All passes belong to one fold, so none could be held out."),)
     names = [p["parameter"] for p in document["parameters"]]
-    rows = tuple(
-        (fold["left_out"], ", ".join(fold["runs"]), *(_with_error(fold, n) for n in names))
-        for fold in document["folds"]
-    )
+    folds = document["folds"]
+    rows = tuple((brief(name), *(_with_error(fold, name) for fold in folds)) for name in names)
     table = Table(
-        "folds", "Estimates without the passes left out, ± a standard error; a dash: held at its stated value.",
-        ("left out", "passes", *names), rows,
+        "folds", "Estimates without the passes of one fold, ± a standard error; a dash: held at its stated value.",
+        ("parameter", *(f"without {fold['left_out']}" for fold in folds)), rows,
     )  # fmt: skip
     failed = tuple(
         Text(
@@ -163,14 +187,25 @@ def fold_blocks(document: Document) -> tuple[Block, ...]:
 
 
 def _with_error(fold: Document, name: str) -> str:
-    """`4.15e+04 ± 3e+03`, a dash for a parameter that was held."""
+    """`41500 ± 3000`, a dash for a parameter that was held."""
     error = fold["standard_errors"].get(name)
-    return "–" if error is None else f"{number(fold['estimates'][name])} ± {error:.2g}"
+    return "–" if error is None else f"{number(fold['estimates'][name])} ± {number(float(f'{error:.2g}'))}"
+
+
+def brief(name: str) -> str:
+    """`cornering_stiffness (front)` for `tyres.front.cornering_stiffness`."""
+    *path, last = name.split(".")
+    if last.isdigit() and path:
+        return f"{brief('.'.join(path))} {last}"
+    return f"{last} ({path[-1]})" if path else last
 
 
 def number(value: float | None) -> str:
-    """A number with four significant digits, a dash for none."""
-    return "–" if value is None else f"{value:.4g}"
+    """A number with four significant digits, without an exponent where it is short; a dash for none."""
+    if value is None:
+        return "–"
+    rounded = float(f"{value:.4g}")
+    return f"{rounded:.0f}" if 1e4 <= abs(rounded) < 1e7 else f"{rounded:g}"
 
 
 def percent(value: float | None) -> str:
@@ -179,6 +214,6 @@ def percent(value: float | None) -> str:
 
 
 def span(ends: Sequence[float | None]) -> str:
-    """`4.1e+04 to 7.2e+04`; an end that its bound cut off is open."""
-    low, high = ("open" if end is None else f"{end:.4g}" for end in ends)
+    """`41200 to 72100`; an end that its bound cut off is open."""
+    low, high = ("open" if end is None else number(end) for end in ends)
     return f"{low} to {high}"

@@ -131,6 +131,7 @@ def test_the_names_that_can_be_freed_are_listed(passes: list[str]) -> None:
         (["--free", "l2", "--prior", "l3=1:1"], 2, "is not free"),
         (["--free", "l2", "--priors", "absent.toml"], 1, "absent.toml: "),
         (["--free", "l2", "--folds", "month"], 2, "--folds"),
+        (["--free", "l2", "--manifest", "a.toml", "--manifest", "b.toml"], 2, "2 for 1 passes"),
         (["--free", "cog_height"], 1, "does not act on the motion compared"),
         ([], 2, "--free"),
     ],

@@ -28,7 +28,7 @@ from smts_validate.pipeline.identify import (
     identify,
     verdict_of,
 )
-from smts_validate.pipeline.identify_fit import Fit, collinear, fit, scores_scatter, worst
+from smts_validate.pipeline.identify_fit import Fit, collinear, fit, lost, scores_scatter, worst
 from smts_validate.pipeline.identify_parameter import IdentifyError, Parameter, parameter_of
 from smts_validate.pipeline.identify_problem import (
     Layout,
@@ -39,7 +39,7 @@ from smts_validate.pipeline.identify_problem import (
     weights_by_response,
 )
 from smts_validate.pipeline.identify_profile import profile
-from smts_validate.pipeline.identify_report import write_report
+from smts_validate.pipeline.identify_report import brief, number, write_report
 from smts_validate.pipeline.identify_wishes import Wish
 from smts_validate.pipeline.result import dump_json
 from synthetic_motion import Errors, Field, alone, machine_of, manifest_of, motion_of, truth_of
@@ -152,7 +152,13 @@ def test_the_report_shows_the_estimates_what_was_held_and_all_three_stages(tmp_p
     document = json.loads(dump_json(document_of(recovered())))
     page = write_report(document, tmp_path, dt.date(2025, 5, 14)).read_text(encoding="utf-8")
     (found,), (held,) = document["parameters"], document["held"]
-    for word in (f"{found['estimate']:.4g}", held["name"], held["reason"], "before: as stated", "held out"):
+    for word in (
+        number(found["estimate"]),
+        brief(held["name"]),
+        held["reason"],
+        "before: as stated",
+        "held out",
+    ):
         assert word in page
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
 
@@ -260,6 +266,17 @@ def test_a_prior_makes_a_collinear_pair_identifiable_and_three_that_sum_up_are_f
     slopes[:, 2] = slopes[:, 0] + slopes[:, 1] + 0.02 * rng.standard_normal(500)
     three = worst(slopes.T @ slopes, np.zeros((3, 3)), _plain("a", "b", "c"))
     assert three is not None
+
+
+def test_what_autocorrelation_leaves_unsure_is_held_too() -> None:
+    """The weights alone say 70 %: with the scatter of the windows it is 140 %, and nothing is known of it."""
+    one = fitted(campaign(TRUE)[:2], FRONT)
+    assert lost(one) is None
+    two = replace(one, parameters=(*one.parameters, *_plain("b")), covariance=np.diag([0.01, 1.96]))
+    found = lost(two)
+    assert found is not None
+    assert (found.name, found.partner) == ("b", FRONT)
+    assert "140 %" in found.reason
 
 
 def test_what_does_not_act_is_named_so() -> None:
