@@ -149,8 +149,9 @@ def _variant(
         raise PlanError(f"version {variant}: fewer than two pilots could be compared: {reason}")
     statistics = [pilot.statistics for pilot in flown]
     chance = chances(statistics, cells, repeats, rules, campaign.seed)
-    per_pass = sum((p.information for p in flown), np.zeros((len(names),) * 2)) / len(flown)
-    precision = precisions(per_pass, names, machine, len(cells), repeats, campaign.repeats)
+    per_pass = np.mean([p.information for p in flown], axis=0)
+    scale = np.mean([p.scale for p in flown], axis=0)
+    precision = precisions(per_pass, names, machine, len(cells), repeats, campaign.repeats, scale)
     reading = readings(statistics)
     words = advice(statistics, reading, chance, campaign.repeats, rules)
     return VariantForecast(variant, len(flown), failed, reading, chance, precision, words)
@@ -193,18 +194,22 @@ def precisions(
     cells: int,
     repeats: Sequence[int],
     planned: int,
+    scale: Floats | None = None,
 ) -> tuple[Precision, ...]:
-    """Standard deviations from the information F of `cells`·n passes: sd = √diag F⁻¹; alone: 1/√F_ii.
+    """Standard deviations from `cells`·n passes of information F: √diag(F⁻¹/(cells·n) + F⁻¹ggᵀF⁻¹).
 
-    per_pass : (P, P) information of one pass on relative changes
+    per_pass : (P, P) information F of one pass on relative changes; scale : (P,) score g of one pass for one
+    standard deviation of the steering's scale, the same in all passes: what it costs does not fall with n.
+    alone: all others known, √(1/F_ii/(cells·n) + (g_i/F_ii)²)
     """
     covariance = _inverse(per_pass * cells)
+    scale = np.zeros(len(names)) if scale is None else scale
+    shift = np.nan_to_num(covariance, posinf=0.0) @ scale * cells
     found = []
     for i, name in enumerate(names):
         variance = covariance[i, i]
         sure = bool(np.isfinite(variance))
-        sds = {n: 100.0 * float(np.sqrt(variance / n)) if sure else None for n in repeats}
-        alone = per_pass[i, i] * cells * planned
+        sds = {n: 100.0 * float(np.sqrt(variance / n + shift[i] ** 2)) if sure else None for n in repeats}
         partner, correlation = _partner(covariance, i, names)
         sd = sds[planned]
         found.append(
@@ -212,13 +217,19 @@ def precisions(
                 parameter=name,
                 value=machine.parameter(name),
                 sd_percent=sds,
-                alone_percent=100.0 / float(np.sqrt(alone)) if alone > 0.0 else None,
+                alone_percent=_alone(per_pass[i, i], cells * planned, float(scale[i])),
                 partner=partner,
                 correlation=correlation,
                 identifiable=sd is not None and sd < 100.0 * SURE and abs(correlation) < COLLINEAR,
             )
         )
     return tuple(found)
+
+
+def _alone(information: float, passes: int, scale: float) -> float | None:
+    if not information > 0.0:
+        return None
+    return 100.0 * float(np.sqrt(1.0 / (information * passes) + (scale / information) ** 2))
 
 
 def _inverse(information: Floats) -> Floats:

@@ -15,17 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.machine import Machine, MachineError
+from ..model.simulate import BatchRun
 from ..sensors.ingest import read_pass
 from .alignment import remaining
 from .bounds import PassStatistics
 from .compare import RowComparison, compare
 from .fusion.fuse import fuse
 from .grid import slices, stacked_simulated
-from .replay import drive_of, initial_states, run_windows
+from .replay import Drive, Window, drive_of, initial_states, run_windows
 from .replay_settings import ReplaySettings
 from .run import machine_of
 from .twin import make_pass, write_raw
 from .twin_plan import TwinPlan
+from .uncertainty import SCALE_STEP
 from .window_fit import coarse, nominal_run, trailed_run
 
 Floats = NDArray[np.float64]
@@ -43,11 +45,13 @@ PARAMETERS = (
 
 @dataclass(frozen=True)
 class Pilot:
-    """What one pilot tells: the verdict's numbers of the pass, and the information (P, P) that it holds
-    on the relative change of each parameter (1 = 100 %)."""
+    """What one pilot tells: the verdict's numbers of the pass, the information (P, P) that it holds
+    on the relative change of each parameter (1 = 100 %), and the score (P,) that one standard deviation of
+    the steering's scale leaves, which no number of passes with the same sensor averages out."""
 
     statistics: PassStatistics
     information: Floats
+    scale: Floats
 
 
 def fly(plan: TwinPlan, seed: int, parameters: Sequence[str], settings: ReplaySettings) -> Pilot | None:
@@ -61,8 +65,11 @@ def fly(plan: TwinPlan, seed: int, parameters: Sequence[str], settings: ReplaySe
         return None
     lean = {n: replace(r, deviation=np.empty(0)) for n, r in comparison.statistics.responses.items()}
     statistics = replace(comparison.statistics, responses=lean)
-    found = sum((information(row, statistics, parameters) for row in comparison.rows), _nothing(parameters))
-    return Pilot(statistics, found)
+    found, scale = _nothing(parameters), np.zeros(len(parameters))
+    for row in comparison.rows:
+        held, score = told(row, statistics, parameters)
+        found, scale = found + held, scale + score
+    return Pilot(statistics, found, scale)
 
 
 def known_parameters(machine: Machine, wanted: Sequence[str]) -> tuple[str, ...]:
@@ -89,8 +96,14 @@ def information(row: RowComparison, statistics: PassStatistics, parameters: Sequ
     and n_eff its independent samples, so that the residual's autocorrelation is paid for (the standard
     errors of least squares with the information scaled by n_eff/N).
     """
-    total = _nothing(parameters)
+    return told(row, statistics, parameters)[0]
+
+
+def told(row: RowComparison, statistics: PassStatistics, parameters: Sequence[str]) -> tuple[Floats, Floats]:
+    """`information` of a row (P, P), and the score (P,) of one standard deviation of the steering's scale."""
+    total, score = _nothing(parameters), np.zeros(len(parameters))
     sensitivity = [changes(row, name) for name in parameters]
+    scaled = scale_changes(row)
     for i, fit in enumerate(row.fits):
         slopes = np.column_stack([change[i] for change in sensitivity])
         for name, place in slices(fit.parts):
@@ -99,7 +112,22 @@ def information(row: RowComparison, statistics: PassStatistics, parameters: Sequ
             weight = response.n_eff / (points * max(response.mse, 1e-300))
             part = slopes[place][fit.valid[place]]
             total += weight * part.T @ part
-    return np.asarray(total)
+            score += weight * part.T @ scaled[i][place][fit.valid[place]]
+    return np.asarray(total), score
+
+
+def scale_changes(row: RowComparison) -> list[Floats]:
+    """Each window's residual change (N,) for one standard deviation of the steering's scale, after alignment."""
+    steer = row.context.motion.steer_input
+    if steer is None or row.context.trailed:
+        return [np.zeros(fit.start.size) for fit in row.fits]
+    drive, windows = _drive_and_windows(row)
+    initial = initial_states(row.context.motion, windows)
+    more = run_windows(
+        row.context.machine, drive, row.context.motion, windows, initial, steer_scale=1.0 + SCALE_STEP
+    )
+    left = _left(row, more, nominal_run(row.context, drive, windows))
+    return [one * steer.scale_sd / SCALE_STEP for one in left]
 
 
 def changes(row: RowComparison, name: str) -> list[Floats]:
@@ -107,16 +135,25 @@ def changes(row: RowComparison, name: str) -> list[Floats]:
     context = row.context
     value = context.machine.parameter(name)
     machine = context.machine.replace_parameters({name: value * (1.0 + RELATIVE_STEP)})
-    windows = [fit.window for fit in row.fits]
-    drive = coarse(drive_of(context.motion, row.row, context.settings))
-    base = nominal_run(context, drive, windows)
+    drive, windows = _drive_and_windows(row)
     if context.trailed:
         run = trailed_run(context, drive, windows, machine)
     else:
         run = run_windows(machine, drive, context.motion, windows, initial_states(context.motion, windows))
+    return [one / RELATIVE_STEP for one in _left(row, run, nominal_run(context, drive, windows))]
+
+
+def _drive_and_windows(row: RowComparison) -> tuple[Drive, list[Window]]:
+    drive = coarse(drive_of(row.context.motion, row.row, row.context.settings))
+    return drive, [fit.window for fit in row.fits]
+
+
+def _left(row: RowComparison, moved: BatchRun, nominal: BatchRun) -> list[Floats]:
+    """What of the change between two runs each window's alignment leaves, (N,)."""
     found = []
     for i, fit in enumerate(row.fits):
-        moved, nominal = (stacked_simulated(fit.parts, row.row, r, i) for r in (run, base))
-        left = remaining(fit.alignment, fit.sensitivity, (moved - nominal)[:, None])
-        found.append(left[:, 0] / RELATIVE_STEP)
+        change = stacked_simulated(fit.parts, row.row, moved, i) - stacked_simulated(
+            fit.parts, row.row, nominal, i
+        )
+        found.append(np.asarray(remaining(fit.alignment, fit.sensitivity, change[:, None])[:, 0]))
     return found

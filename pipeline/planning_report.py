@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from .planning import REPEATS, Forecast, Precision, VariantForecast, forecast
+from .identify_report import brief
+from .planning import OFTEN, REPEATS, Forecast, Precision, VariantForecast, forecast
 from .planning_chances import Chance
 from .report import write_pages
 from .report_blocks import Block, Chart, Curve, Panel, Role, Section, Table, Text
@@ -19,6 +20,7 @@ from .twin_campaign import read_campaign
 
 DOCUMENT = "plan.json"
 ROLES: tuple[Role, ...] = ("measured", "simulated", "third", "fourth", "reference")
+GOOD = ((100.0 * OFTEN, "a good chance"),)
 LABELS = {
     "deviation1": "tractor's deviation",
     "deviation2": "seeder's deviation",
@@ -131,7 +133,7 @@ def _chances_table(variant: VariantForecast, k: int) -> Table:
 def _chances_chart(variant: VariantForecast, k: int, found: Forecast) -> Chart:
     counts = list(dict.fromkeys(c.repeats for c in variant.chances))
     panels = tuple(
-        Panel(label, tuple(_curve(variant.chances, n, i, value) for i, n in enumerate(counts)))
+        Panel(label, tuple(_curve(variant.chances, n, i, value) for i, n in enumerate(counts)), levels=GOOD)
         for label, value in (("adequate, %", "adequate"), ("not adequate, %", "not_adequate"))
     )
     return Chart(
@@ -161,16 +163,16 @@ def _precision_table(variant: VariantForecast, k: int) -> Table:
     counts = list(variant.parameters[0].sd_percent) if variant.parameters else []
     return Table(
         f"parameters-{k}",
-        "Standard deviation with which each parameter could be identified, in percent of its stated value, "
-        "by repeats in a cell with all others free; alone: all others known, at the planned repeats.",
+        "Standard deviation (%) with which each parameter could be identified, by repeats in a cell, all others "
+        "free; alone: all others known, at the planned repeats.",
         (
             "parameter",
             "stated",
             *(f"n = {n}" for n in counts),
             "alone",
             "most like",
-            "correlation",
-            "identifiable",
+            "corr.",
+            "sure",
         ),
         tuple(_precision_row(p) for p in variant.parameters),
     )
@@ -180,11 +182,11 @@ def _precision_row(p: Precision) -> tuple[str, ...]:
     sds = (_number(sd) for sd in p.sd_percent.values())
     known = "yes" if p.identifiable else "no"
     return (
-        p.parameter,
+        brief(p.parameter),
         f"{p.value:g}",
         *sds,
         _number(p.alone_percent),
-        p.partner,
+        brief(p.partner),
         f"{p.correlation:.2f}",
         known,
     )

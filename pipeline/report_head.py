@@ -35,4 +35,4 @@ class Head:
     @property
     def sign(self) -> str:
         """A mark for the verdict that does not need colour."""
-        return SIGNS.get(self.verdict, "?")
+        return SIGNS.get(self.verdict, "?") if self.verdict else ""

@@ -114,6 +114,27 @@ def test_precision_is_that_of_least_squares_and_falls_with_the_root_of_the_repea
     assert np.corrcoef(np.array(estimates).T)[0, 1] == pytest.approx(found[0].correlation, abs=0.08)
 
 
+def test_the_steerings_scale_is_paid_for_in_full_however_many_the_repeats() -> None:
+    rng = np.random.default_rng(7)
+    names = ("tyres.front.cornering_stiffness", "seeder.hitch_to_com")
+    slopes = rng.standard_normal((300, 2)) @ np.array([[1.0, 0.4], [0.0, 1.5]])
+    noise, cells, planned, change = 0.3, 2, 4, rng.standard_normal(300)  # change: of the residual, by 1 sd
+    found = planning.precisions(
+        slopes.T @ slopes / noise**2, names, MACHINE_NOW, cells, (planned, 10_000), planned,
+        slopes.T @ change / noise**2,
+    )  # fmt: skip
+    passes = cells * planned
+    stacked, estimates = np.vstack([slopes] * passes), []
+    for _ in range(600):
+        errors = noise * rng.standard_normal(300 * passes) + np.tile(change, passes) * rng.standard_normal()
+        estimates.append(np.linalg.lstsq(stacked, errors, rcond=None)[0])
+    assert [p.sd_percent[planned] for p in found] == pytest.approx(
+        list(100.0 * np.std(estimates, axis=0)), rel=0.1
+    )
+    floor = 100.0 * np.abs(np.linalg.lstsq(slopes, change, rcond=None)[0])
+    assert [p.sd_percent[10_000] for p in found] == pytest.approx(list(floor), rel=0.02)
+
+
 def test_a_parameter_without_information_and_two_that_cannot_be_told_apart_are_not_identifiable() -> None:
     names = ("tyres.front.cornering_stiffness", "tyres.rear.cornering_stiffness", "seeder.yaw_inertia")
     one = np.array([[100.0, 100.0, 0.0], [100.0, 100.0, 0.0], [0.0, 0.0, 0.0]])
@@ -171,7 +192,7 @@ def test_a_forecast_is_made_from_a_plan_and_written_as_table_and_figure(tmp_path
     assert json.loads((tmp_path / "out/plan.json").read_text())["repeats"] == 2
     page = (tmp_path / "out/report.html").read_text()
     assert "Chance of each verdict" in page
-    assert "tyres.front.cornering_stiffness" in page
+    assert "cornering_stiffness (front)" in page
     assert (tmp_path / "out/report.pdf").read_bytes().startswith(b"%PDF")
     (variant,) = document["variants"]
     assert {c["repeats"] for c in variant["chances"]} == {2, 5}
