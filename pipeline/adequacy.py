@@ -209,6 +209,24 @@ def _percent(value: float | None) -> str:
     return "none" if value is None else f"{100.0 * value:.1f} %"
 
 
+TAKEN_OUT = " with known measuring error taken out"
+
+
+def _above_its_bound(one: Judged) -> bool:
+    """Whether D lies above its own upper bound: the bound has known measuring error removed, D has not."""
+    return one.d is not None and one.hi is not None and one.d > one.hi
+
+
+def _bounds_words(one: Judged) -> str:
+    if one.hi is None or not np.isfinite(one.hi):
+        return "no bounds: a single pass of a campaign knows no spread"
+    return f"bounds {_percent(one.lo)} to {_percent(one.hi)}{TAKEN_OUT if _above_its_bound(one) else ''}"
+
+
+def _before_noise(one: Judged) -> str:
+    return f"{TAKEN_OUT}; it reads {_percent(one.d)} before" if _above_its_bound(one) else ""
+
+
 def _of_this_pass(scope: str) -> tuple[str, ...]:
     return ("this speaks of this pass and not of the model",) if scope == "pass" else ()
 
@@ -228,7 +246,7 @@ def _praised(found: Mapping[str, Judged], rules: Rules, scope: str) -> tuple[str
     worst = max(found, key=lambda n: found[n].hi or 0.0)
     text = (
         f"every response stays under the threshold of {rules.threshold_percent:g} %: the largest upper "
-        f"bound is {_percent(found[worst].hi)} ({WORDS[worst]})"
+        f"bound is {_percent(found[worst].hi)} ({WORDS[worst]}){_before_noise(found[worst])}"
     )
     return (text, *_of_this_pass(scope))
 
@@ -283,7 +301,7 @@ def _doubts_of_bounds(found: Mapping[str, Judged], rules: Rules) -> dict[str, st
             doubts.setdefault("small-swing", []).append(reason)
         elif not one.hi < rules.threshold:
             code = _cause(one, rules)
-            text = f"{WORDS[name]} {_percent(one.d)}, bounds {_percent(one.lo)} to {_percent(one.hi)}"
+            text = f"{WORDS[name]} {_percent(one.d)}, {_bounds_words(one)}"
             doubts.setdefault(code, []).append(text)
     return {code: CAUSES[code] + "; ".join(texts) for code, texts in doubts.items()}
 

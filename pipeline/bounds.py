@@ -26,6 +26,7 @@ LEAST_RANGE = {  # m, rad
 LEAST_RANGE_IN_U = 4.0
 NORMAL_R95 = 3.92  # Q97.5 − Q2.5 of a normal variate, in standard deviations
 R95_LOG_VARIANCE = 0.905  # n·var(ln R95) of n independent normal values, by the quantiles' asymptotic law
+LARGEST_POWER = 700.0  # of e in a double
 GUARDS = {True: (0.8, 1.25), False: (0.5, 2.0)}  # factors on u² when the filter's consistency holds, or not
 
 
@@ -178,9 +179,12 @@ def half_width(summary: Summary, level: float, count: int | None = None, dof: in
 
 def upper(summary: Summary, width: float) -> float:
     """D_hi = √([M_hi − min(g_lo·u², M_hi/2)] / max(R95² − 3.92²·g_hi·u_R², R95²/4)); never subtracts
-    u_in²."""
+    u_in². Infinite where the width is: one pass of a campaign knows no spread."""
+    power = 2.0 * (summary.mean_log + width)
+    if not power < LARGEST_POWER:
+        return float("inf")
     low, high = GUARDS[summary.consistent]
-    mse = float(np.exp(min(2.0 * (summary.mean_log + width), 700.0)))
+    mse = float(np.exp(power))
     range2 = summary.r95**2
     normaliser = max(range2 - NORMAL_R95**2 * high * summary.u2_range, range2 / 4.0)
     return float(np.sqrt((mse - min(low * summary.u2, mse / 2.0)) / normaliser))

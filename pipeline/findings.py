@@ -134,7 +134,7 @@ def shown_interval(judged: Judged) -> tuple[float, float] | None:
     D_hi and D_lo have known measuring error removed and D has not, so D may lie above both; an interval that does
     not hold its own figure would read as a mistake. The verdict uses D_hi and D_lo as they are.
     """
-    if judged.d is None or judged.lo is None or judged.hi is None:
+    if judged.d is None or judged.lo is None or judged.hi is None or not np.isfinite(judged.hi):
         return None
     return min(judged.lo, judged.d), max(judged.hi, judged.d)
 

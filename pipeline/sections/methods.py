@@ -39,10 +39,11 @@ AFTER_D = (
     "percentage is given."
 )
 VERDICT = (
-    "Verdict. The interval's upper end must be under the threshold for every response to call the model "
-    "adequate; the lower end, with input uncertainty removed as well, must be above it to call the model "
-    "not adequate. u is what the measurement's own error leaves in e after the alignment, g the guard "
-    "factors (0.8 and 1.25 while the filter's own tests hold, else 0.5 and 2):"
+    "Verdict. The upper bound D_hi must be under the threshold for every response to call the model "
+    "adequate; the lower bound D_lo, with input uncertainty removed as well, must be above it to call the model "
+    "not adequate. Both have measuring error removed and D has not, so a printed interval is widened "
+    "to hold D. u is what the measurement's own error leaves in e after the alignment, g the guard factors "
+    "(0.8 and 1.25 while the filter's own tests hold, else 0.5 and 2):"
 )
 NULL = (
     "Null model. A straight line, aligned in the same windows in the same way, is scored beside the "

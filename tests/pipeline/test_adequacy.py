@@ -25,6 +25,7 @@ from smts_validate.pipeline.bounds import (
     summarise,
     upper,
 )
+from smts_validate.pipeline.findings import shown_interval
 
 SWING = 0.12  # m
 THRESHOLD = 0.15
@@ -372,3 +373,25 @@ def test_a_pass_without_a_row_says_why_its_stretches_were_left_out() -> None:
     assert verdict.value == "inconclusive"
     assert "no row was compared" in verdict.reasons[0]
     assert "83.6 %" in verdict.reasons[0]
+
+
+def test_a_bound_below_the_figure_that_it_bounds_says_what_was_taken_out_of_it() -> None:
+    noisy = judge_pass(one_pass(0, 0.05, u=0.005))
+    one = noisy.responses[DEVIATION1]
+    assert one.d is not None
+    assert one.hi is not None
+    assert one.d > one.hi
+    assert f"reads {100.0 * one.d:.1f} % before" in noisy.reasons[0]
+    near = judge_pass(one_pass(0, 0.149, u=0.015))
+    assert "with known measuring error taken out" in near.reasons[0]
+    exact = judge_pass(one_pass(0, 0.05, u=1e-6))
+    assert "taken out" not in exact.reasons[0]
+
+
+def test_a_campaign_of_one_pass_has_no_upper_bound_and_says_so() -> None:
+    alone = judge_campaign([one_pass(0, 0.05)])
+    assert alone.value == "inconclusive"
+    assert alone.responses[DEVIATION1].hi == float("inf")
+    assert shown_interval(alone.responses[DEVIATION1]) is None
+    assert any("no bounds" in reason for reason in alone.reasons)
+    assert max(len(reason) for reason in alone.reasons) < 500
