@@ -213,8 +213,8 @@ TAKEN_OUT = " with known measuring error taken out"
 
 
 def _above_its_bound(one: Judged) -> bool:
-    """Whether D lies above its own upper bound: the bound has known measuring error removed, D has not."""
-    return one.d is not None and one.hi is not None and one.d > one.hi
+    """Whether D is printed above its own upper bound: that has known measuring error removed, D has not."""
+    return one.d is not None and one.hi is not None and round(100.0 * one.d, 1) > round(100.0 * one.hi, 1)
 
 
 def _bounds_words(one: Judged) -> str:
