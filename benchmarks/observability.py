@@ -21,12 +21,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "pipeline"))
 
 from fusion_samples import Sample, changed, errors, make, receiver_slow_error, rms
-from smts_validate.pipeline.fusion import engine_compiled, output
+from smts_validate.pipeline.fusion import kernels, output
 from smts_validate.pipeline.fusion import state as s
 from smts_validate.pipeline.fusion.assemble import assemble, constant_crab
 from smts_validate.pipeline.fusion.fuse import solved
-from smts_validate.pipeline.fusion.kernels import predict
 from smts_validate.pipeline.fusion.motion import BodyMotion, Motion
+from smts_validate.pipeline.fusion.prepare import STEP
 from smts_validate.pipeline.fusion.problem import Measurements, Problem
 from smts_validate.pipeline.fusion.settings import FusionSettings, Levels
 from smts_validate.pipeline.fusion.steering import best_steering
@@ -67,22 +67,76 @@ def case_of(of: Sample) -> Case:
     known, _, levels, _, settled, _ = found
     machine = known.log.manifest.machine
     path = settled.smooth.x
-    task = undisturbed(settled.task, path, settled.filtered.used)
+    task = taken(settled.task, settled.filtered.used)
     return Case(
         task, path, assemble(*found), levels, constant_crab(machine, levels), machine.tractor.front_axle
     )
 
 
-def undisturbed(task: Problem, path: np.ndarray, used: np.ndarray) -> Problem:
-    """The problem with the measurements that the fusion took, each as the path itself would give it: what is known
-    then hangs on the doubts alone, not on what a gate makes of data that are better or worse than stated."""
-    q, H = task.measurements, np.empty(s.SIZE)
-    z = [
-        predict(q.kind[m], path[q.node[m]], task.node_inputs[q.node[m]], q.ahead[m], task.parameters, H)
-        for m in np.flatnonzero(used)
-    ]
-    taken = Measurements(q.kind[used], q.node[used], np.array(z), q.var[used], q.ahead[used])
-    return replace(task, measurements=taken)
+def taken(task: Problem, used: np.ndarray) -> Problem:
+    """The problem with the measurements alone that the fusion did not refuse."""
+    q = task.measurements
+    kept = Measurements(q.kind[used], q.node[used], q.z[used], q.var[used], q.ahead[used])
+    return replace(task, measurements=kept)
+
+
+def posterior(task: Problem, path: np.ndarray) -> np.ndarray:
+    """Covariance (N, k, k) of the KEPT components given all measurements, linearised about a path (N, SIZE).
+
+    No data enter, so no gate either. Filter forward, then Bierman's adjoint covariance backward, in plain NumPy: also
+    a check of the compiled engine.
+    """
+    starts, q, p = task.measurements.starts(task.t.size), task.measurements, task.parameters
+    P, drive = task.P0.copy(), np.empty(s.SIZE)
+    kept = np.empty((task.t.size, s.SIZE, s.SIZE))
+    rows: list[tuple[np.ndarray, np.ndarray, float]] = []
+    for k in range(task.t.size):
+        if k > 0:
+            F = stepped(task, path, k - 1)
+            kernels.process_noise(path[k - 1], task.step_inputs[k - 1], STEP, p, drive)
+            drive[[s.EX, s.EY]] += task.inject[k, 0]
+            drive[[s.FX, s.FY]] += task.inject[k, 1]
+            P = F @ P @ F.T + np.diag(drive)
+        for m in range(starts[k], starts[k + 1]):
+            H = np.zeros(s.SIZE)
+            kernels.predict(q.kind[m], path[k], task.node_inputs[k], q.ahead[m], p, H)
+            shared = P @ H
+            S = float(H @ shared) + q.var[m]
+            rows.append((H, shared / S, S))
+            P = P - np.outer(shared, shared) / S
+        kept[k] = P
+    return smoothed(task, path, kept, rows, starts)
+
+
+def stepped(task: Problem, path: np.ndarray, k: int) -> np.ndarray:
+    """Transition matrix from node k to the next."""
+    F = np.eye(s.SIZE)
+    kernels.transition(path[k], task.step_inputs[k], STEP, task.parameters, F)
+    return F
+
+
+def smoothed(
+    task: Problem,
+    path: np.ndarray,
+    kept: np.ndarray,
+    rows: list[tuple[np.ndarray, np.ndarray, float]],
+    starts: np.ndarray,
+) -> np.ndarray:
+    """Filter covariances (N, SIZE, SIZE) to the smoother's of the KEPT components, by rows H, gains K, variances S."""
+    L = np.zeros((s.SIZE, s.SIZE))
+    keep = np.array(s.KEPT)
+    out = np.empty((task.t.size, keep.size, keep.size))
+    for k in range(task.t.size - 1, -1, -1):
+        if k < task.t.size - 1:
+            F = stepped(task, path, k)
+            L = F.T @ L @ F
+        P = kept[k]
+        out[k] = (P - P @ L @ P)[np.ix_(keep, keep)]
+        for m in range(starts[k + 1] - 1, starts[k] - 1, -1):
+            H, K, S = rows[m]
+            back = L @ K
+            L = L - np.outer(H, back) - np.outer(back, H) + np.outer(H, H) * (float(K @ back) + 1.0 / S)
+    return out
 
 
 def without(states: tuple[int, ...], parameters: tuple[int, ...]) -> Callable[[Case], Case]:
@@ -122,11 +176,9 @@ VARIANTS: Mapping[str, Callable[[Case], Case]] = {
 def bound(case: Case) -> Bound:
     """Root mean square over the pass of the posterior standard deviations, m and rad."""
     task, m = case.task, case.motion
-    filtered = engine_compiled.run_filter(task, case.path)
-    smooth = engine_compiled.run_smoother(task, filtered, case.path)
     lag = float(case.path[-1, s.LAG])
     level = (task.node_inputs[:, s.N_ROLL2], task.node_inputs[:, s.N_PITCH2])
-    at = output.at_utc(task.t, m.t, lag, case.path, smooth.P, level)
+    at = output.at_utc(task.t, m.t, lag, case.path, posterior(task, case.path), level)
     tractor = output.tractor_motion(at, task.parameters, case.crab[0], None)
     seeder = output.seeder_motion(at, task.parameters, case.crab[1], None)
     steer = best_steering(
