@@ -1,11 +1,13 @@
 """Accuracy and honesty of the fusion over seeded twins: errors, and coverage of the stated deviations.
 
-    python benchmarks/accuracy.py [--passes 40] [--workers 2]
+    python benchmarks/accuracy.py [--passes 40] [--workers 2] [--steering]
 
 Fields (slope, heading) and faults vary with the seed: benign RTK, bad sensors, an outage with float, a headland turn.
 Prints for each kind and for all: median and 95th percentile of the passes' RMSE (cm, degrees), the share of errors
 within 1.96 stated deviations, and the mean of (error/deviation) squared. For benign passes also by how much the
 tractor's lateral error exceeds the receiver's own error slower than 5 s (root of the difference of squares).
+With --steering instead: the best steering angle alone, of the same passes with a steering sensor and wheel-mounted
+units, with one of them and with neither.
 """
 
 from __future__ import annotations
@@ -13,37 +15,71 @@ from __future__ import annotations
 import argparse
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "pipeline"))
 
-from fusion_samples import changed, errors, make, receiver_slow_error, rms
+from fusion_samples import Sample, changed, errors, make, receiver_slow_error, rms
 from smts_validate.pipeline.fusion.fuse import fuse
-from smts_validate.pipeline.twin_plan import preset
+from smts_validate.pipeline.twin_machine import STEER_SENSOR
+from smts_validate.pipeline.twin_plan import TwinPlan, preset
+from smts_validate.sensors.streams import FieldLog
 
 KINDS = ("benign", "bad_sensors", "outage", "headland")
+STEERED = {
+    "steering sensor and wheels": (), "wheels alone": ("steer",), "steering sensor alone": ("wds",),
+    "neither": ("steer", "wds"),
+}  # fmt: skip
 SLOPE_SD = 0.005  # of each component of the ground's gradient
 
 
-def one(seed: int) -> tuple[str, dict[str, tuple[float, float, float]], float]:
-    """A pass's kind; for each quantity its RMSE, coverage and mean squared normalised error; the lateral excess."""
+def plan_of(seed: int) -> tuple[str, TwinPlan]:
+    """A seed's kind of pass and its plan."""
     rng = np.random.default_rng(seed)
     kind = KINDS[seed % len(KINDS)]
-    plan = changed(
+    return kind, changed(
         preset(kind),
         place__heading_deg=float(rng.uniform(-180.0, 180.0)),
         soil__slope_east=float(rng.normal() * SLOPE_SD),
         soil__slope_north=float(rng.normal() * SLOPE_SD),
     )
+
+
+def of_errors(log: FieldLog, of: Sample) -> dict[str, tuple[float, float, float]]:
+    """For each quantity RMSE, coverage and mean squared normalised error of a log's fusion."""
+    return {
+        name: (
+            float(np.sqrt(np.mean(e**2))),
+            float(np.mean(np.abs(e / sd) < 1.96)),
+            float(np.mean((e / sd) ** 2)),
+        )
+        for name, (e, sd) in errors(fuse(log), of).items()
+    }
+
+
+def without(log: FieldLog, *kinds: str) -> FieldLog:
+    """A log without its sensors of some kinds."""
+    sensors = {name: sensor for name, sensor in log.manifest.sensors.items() if sensor.kind not in kinds}
+    streams = {name: log.streams[name] for name in sensors if name in log.streams}
+    return replace(log, manifest=log.manifest.model_copy(update={"sensors": sensors}), streams=streams)
+
+
+def steering(seed: int) -> dict[str, dict[str, tuple[float, float, float]]]:
+    """The steering angle of a pass with a steering sensor, by the sensors that are left to the fusion."""
+    of = make(changed(plan_of(seed)[1], sensors={"steer": dict(STEER_SENSOR)}), 1000 + seed)
+    return {
+        title: {"steer": of_errors(without(of.log, *kinds), of)["steer"]} for title, kinds in STEERED.items()
+    }
+
+
+def one(seed: int) -> tuple[str, dict[str, tuple[float, float, float]], float]:
+    """A pass's kind; for each quantity its RMSE, coverage and mean squared normalised error; the lateral excess."""
+    kind, plan = plan_of(seed)
     of = make(plan, 1000 + seed)
-    found = {}
-    for name, (error, sd) in errors(fuse(of.log), of).items():
-        ratio = error / sd
-        found[name] = (
-            float(np.sqrt(np.mean(error**2))), float(np.mean(np.abs(ratio) < 1.96)), float(np.mean(ratio**2))
-        )  # fmt: skip
+    found = of_errors(of.log, of)
     excess = found["lateral1"][0] ** 2 - rms(receiver_slow_error(of)) ** 2
     return kind, found, float(np.sqrt(max(excess, 0.0)))
 
@@ -67,7 +103,14 @@ if __name__ == "__main__":
     )
     parser.add_argument("--passes", type=int, default=40)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--steering", action="store_true")
     chosen = parser.parse_args()
+    if chosen.steering:
+        with ProcessPoolExecutor(chosen.workers) as pool:
+            steered = list(pool.map(steering, range(chosen.passes)))
+        for title in STEERED:
+            table(title, [row[title] for row in steered])
+        sys.exit()
     with ProcessPoolExecutor(chosen.workers) as pool:
         results = list(pool.map(one, range(chosen.passes)))
     for kind in KINDS:
