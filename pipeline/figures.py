@@ -161,11 +161,10 @@ def _line_up(axes: Axes, at: Sequence[float], ends: tuple[float, float], upright
 
 def _label(axes: Axes, at: Sequence[float], words: Sequence[str], off: float, upright: bool) -> None:
     ha, va = ("center", "top") if upright else ("right", "center_baseline")
+    look: dict[str, Any] = {"size": 7.5, "color": style.MUTED, "clip_on": False}
     for value, text in zip(at, words, strict=False):
         x, y = (value, off) if upright else (off, value)
-        axes.add_artist(
-            Text(x, y, text, transform=_across(axes, upright), ha=ha, va=va, size=7.5, color=style.MUTED)
-        )
+        axes.add_artist(Text(x, y, text, transform=_across(axes, upright), ha=ha, va=va, **look))
 
 
 def _plain_powers(axis: Axis) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pypdf
 import pytest
 from fpdf import FPDF
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from smts_validate.pipeline import figures, figures_pdf, figures_svg
@@ -274,6 +275,21 @@ def test_drawn_curve_keeps_the_extremes_of_a_long_series() -> None:
     drawn = axes.lines[0].get_ydata()
     assert np.max(drawn) == 7.0
     assert np.size(drawn) <= style.STILL_POINTS + 2
+
+
+def test_every_word_of_a_figure_leaves_ink_on_a_picture() -> None:
+    with mpl.rc_context(figures.RC):
+        figure = figures.draw(_chart())
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+    ink = np.asarray(canvas.buffer_rgba())[::-1, :, :3].min(axis=2) < 160
+    words = [text for axes in figure.axes for text in (*axes.texts, axes.yaxis.label)]
+    words += [figure.axes[-1].xaxis.label]
+    assert len(words) > 15
+    for text in words:
+        box = text.get_window_extent()
+        part = ink[int(box.y0) : int(box.y1) + 1, int(box.x0) : int(box.x1) + 1]
+        assert part.any(), text.get_text()
 
 
 def test_files_are_written_in_three_formats(tmp_path: Path) -> None:
