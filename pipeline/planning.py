@@ -34,7 +34,21 @@ REPEATS = (1, 2, 3, 5, 8)
 LEAST_PILOTS = 6  # of a variant: their scatter is the campaign's
 PILOT_SEEDS = 100_000  # pilots are not the passes that the same plan would write
 OFTEN = 0.8  # of campaigns: what counts as a good chance
-OF_SENSORS = ("noise", "small-swing", "alignment")  # reasons that better sensors mend
+OF_SENSORS = ("noise", "small-swing")  # reasons that better sensors mend
+IN_THE_WAY = {
+    "alignment": "windows whose alignment goes beyond the stated doubt of steering and start (a rough soil, or "
+    "sensors worse than stated)",
+    "borderline": "a discrepancy too near the threshold",
+    "few-passes": "too few passes",
+    "inputs": "the uncertainty of steering, start and parameters",
+    "noise": "measuring uncertainty",
+    "null": "a model hardly better than a straight line",
+    "one-direction": "passes of one direction only",
+    "single-pass": "single passes over twice the threshold",
+    "small-swing": "a swing too small beside its uncertainty",
+    "spread": "the scatter of the passes",
+    "tractor-not-testable": "no steering series to drive the model with",
+}
 SURE = 0.25  # relative sd under which a parameter counts as identifiable
 COLLINEAR = 0.98  # |correlation| over which two parameters cannot be told apart
 
@@ -287,7 +301,7 @@ def _on_repeats(chance: Sequence[Chance], planned: int) -> Iterator[str]:
         else f"no number of repeats tried finds a right model adequate in {_share(OFTEN)} of campaigns"
     )
     if right.doubts:
-        yield "what stands in the way: " + ", ".join(right.doubts)
+        yield "what stands in the way: " + "; ".join(IN_THE_WAY.get(code, code) for code in right.doubts)
 
 
 def _on_sensors(

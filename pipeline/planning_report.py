@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .identify_report import brief
-from .planning import OFTEN, REPEATS, Forecast, Precision, VariantForecast, forecast
+from .planning import OFTEN, REPEATS, SURE, Forecast, Precision, VariantForecast, forecast
 from .planning_chances import Chance
 from .report import write_pages
 from .report_blocks import Block, Chart, Curve, Panel, Role, Section, Table, Text
@@ -91,6 +91,7 @@ def _blocks(variant: VariantForecast, k: int, found: Forecast) -> tuple[Block, .
         _readings_table(variant, k),
         _chances_chart(variant, k, found),
         _chances_table(variant, k),
+        *_precision_chart(variant, k),
         _precision_table(variant, k),
     )
 
@@ -156,6 +157,37 @@ def _curve(chances: Sequence[Chance], repeats: int, index: int, value: str) -> C
         x=np.array([c.percent for c in points]),
         y=np.array([100.0 * getattr(c, value) for c in points]),
         style="marked" if index < len(ROLES) else "dash",
+    )
+
+
+def _precision_chart(variant: VariantForecast, k: int) -> tuple[Chart, ...]:
+    """Each parameter's uncertainty over the repeats; none where a single number of repeats was tried."""
+    known = [p for p in variant.parameters if all(sd is not None for sd in p.sd_percent.values())]
+    if not known or len(known[0].sd_percent) < 2:
+        return ()
+    curves = tuple(
+        Curve(
+            name=brief(p.parameter),
+            role=ROLES[i % len(ROLES)],
+            x=np.array(list(p.sd_percent), dtype=np.float64),
+            y=np.array(list(p.sd_percent.values()), dtype=np.float64),
+            style="marked" if i < len(ROLES) else "dash",
+        )
+        for i, p in enumerate(known)
+    )
+    level = (100.0 * SURE, "sure enough")
+    return (
+        Chart(
+            key=f"precision-{k}",
+            title="Uncertainty of each parameter",
+            caption="Standard deviation with which each parameter could be identified, all others free. What the "
+            "steering sensor's scale costs is the same in all passes and does not fall with the repeats.",
+            alt="The standard deviation of each parameter falls as the repeats grow, to the floor that the scale "
+            "of the steering sensor leaves.",
+            x_label="repeats in a cell",
+            panels=(Panel("standard deviation, %", curves, log_y=True, levels=(level,)),),
+            discrete=True,
+        ),
     )
 
 

@@ -169,6 +169,16 @@ def test_advice_says_whether_the_sensors_are_good_enough(measuring: float, says:
     assert says in words[-1]
 
 
+def test_what_the_soil_does_is_not_blamed_on_the_sensors_and_is_told_in_words() -> None:
+    """Alignments beyond their prior come of rough ground too."""
+    pilots = [replace(_pilot(0.03, s), windows_within=0.5) for s in (-0.1, 0.0, 0.1)]
+    chance = planning_chances.chances(pilots, CELLS, (8,), RULES, 1, (0.0,), 40)
+    assert chance[0].doubts["alignment"] == chance[0].inconclusive == 1.0
+    *_, blocked, sensors = planning.advice(pilots, planning.readings(pilots), chance, 8, RULES)
+    assert "a rough soil" in blocked
+    assert "are good enough" in sensors
+
+
 def test_pilots_whose_fusion_fails_are_named_as_such() -> None:
     pilots = [_pilot(0.03), _pilot(0.03), _pilot(1.5)]
     chance = planning_chances.chances(pilots, CELLS, (3,), RULES, 1, (0.0,), 20)
@@ -192,6 +202,7 @@ def test_a_forecast_is_made_from_a_plan_and_written_as_table_and_figure(tmp_path
     assert json.loads((tmp_path / "out/plan.json").read_text())["repeats"] == 2
     page = (tmp_path / "out/report.html").read_text()
     assert "Chance of each verdict" in page
+    assert "Uncertainty of each parameter" in page
     assert "cornering_stiffness (front)" in page
     assert (tmp_path / "out/report.pdf").read_bytes().startswith(b"%PDF")
     (variant,) = document["variants"]
