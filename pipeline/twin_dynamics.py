@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..model.inputs import Controls, Driver, ForceSeries
 from ..model.inputs import Path as ModelPath
-from ..model.machine import Machine, MachineError
+from ..model.machine import GRAVITY, Machine, MachineError
 from ..model.settings import SimulationSettings
 from ..model.simulate import initial_state, simulate
 from .twin_motion import STEP, PlanarMotion, hand, joined
@@ -45,7 +45,9 @@ def dynamic(
         steer=hand(plan.driver, speed, rng),
         driver=_driver(plan),
         path=ModelPath(PITCH, path.x, path.y, path.heading, path.curvature),
-        over_distance=ForceSeries(SPACING, disturbance(plan, machine, rng)),
+        over_distance=ForceSeries(
+            SPACING, disturbance(plan, machine, rng) + weight_load(plan, machine, path)
+        ),
     )
     run = simulate(machine, controls, _start(plan, machine, path), t, SimulationSettings(step=STEP))
     if run.diverged_at is not None:
@@ -74,15 +76,37 @@ def _start(plan: TwinPlan, machine: Machine, path: Path) -> Floats:
 def disturbance(plan: TwinPlan, machine: Machine, rng: np.random.Generator) -> Floats:
     """Side force and yaw moment at both bodies every SPACING m, (n, 6): coloured over distance, and the
     constant load of a crabbing machine."""
-    soil, lanes = plan.soil, plan.path.rows
-    distance = lanes * plan.path.row_length + (lanes - 1) * math.pi * plan.path.turn_radius + 50.0
-    n = math.ceil(distance / SPACING) + 1
+    soil, distance = plan.soil, _places(plan)
+    n = distance.size
     sizes = np.array([0.0, soil.side_force_tractor, soil.yaw_moment_tractor, 0.0, 0.0, 0.0])
     if machine.seeder is not None:
         sizes[4:] = soil.side_force_seeder, soil.yaw_moment_seeder
     coloured = [size * wander(n, SPACING, soil.correlation_length, rng) for size in sizes]
-    fade = np.clip(np.arange(n) * SPACING / FADE_IN, 0.0, 1.0)
+    fade = np.clip(distance / FADE_IN, 0.0, 1.0)
     return np.asarray(fade[:, None] * (np.column_stack(coloured) + crab_load(plan, machine)))
+
+
+def _places(plan: TwinPlan) -> Floats:
+    """Distances of the disturbance, m, beyond the last row's end."""
+    lanes = plan.path.rows
+    distance = lanes * plan.path.row_length + (lanes - 1) * math.pi * plan.path.turn_radius + 50.0
+    return np.arange(math.ceil(distance / SPACING) + 1) * SPACING
+
+
+def weight_load(plan: TwinPlan, machine: Machine, path: Path) -> Floats:
+    """The weight's part along the ground across each body, N, every SPACING m along the path, (n, 6): -m·g·slope to
+    the left. Zeros where the plan leaves it out."""
+    soil, distance = plan.soil, _places(plan)
+    load = np.zeros((distance.size, 6))
+    if soil.weight_pulls:
+        along = PITCH * np.arange(path.heading.size)
+        heading = np.interp(distance, along, path.heading)
+        fade = np.clip(distance / FADE_IN, 0.0, 1.0)
+        downhill = GRAVITY * fade * (np.sin(heading) * soil.slope_east - np.cos(heading) * soil.slope_north)
+        load[:, 1] = machine.tractor.mass * downhill
+        if machine.seeder is not None:
+            load[:, 4] = machine.seeder.mass * downhill
+    return load
 
 
 def crab_load(plan: TwinPlan, machine: Machine) -> Floats:

@@ -93,7 +93,8 @@ class SoilPlan:
 
     side_force_*, yaw_moment_*: 1 sigma of the disturbance at each body (N, N·m), Gauss-Markov over distance
     with `correlation_length` m. roughness: displacement spectral density at 0.1 cycles/m, m³ (ISO 8608:
-    class C 256e-6, D 1024e-6, E 4096e-6). slope_*: grade of the terrain. slip: mean longitudinal slip of
+    class C 256e-6, D 1024e-6, E 4096e-6). slope_*: grade of the terrain; weight_pulls: whether the weight's part
+    along it pulls both bodies aside (it tilts them in any case). slip: mean longitudinal slip of
     the tractor's wheels, slip_sd its scatter. crab_*_deg: about the constant angle between a body's axis
     and its course.
     """
@@ -111,6 +112,7 @@ class SoilPlan:
     slip_time: float = 1.5
     crab_tractor_deg: float = 0.0
     crab_seeder_deg: float = 0.0
+    weight_pulls: bool = False
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from .problem import Epochs
 Floats = NDArray[np.float64]
 
 BASELINE = 4.0  # m of travel over which a course is taken
+LONGEST = 15.0  # s for it: a machine that creeps at 0.3 m/s has its course then, and a gyro's bias has not spoilt it
 ROUGH = 0.1  # m, of positions: differences over 1 s then err by what a machine creeps
 LAGS = np.arange(-10, 6) * 0.025  # s: latencies of 20 to 350 ms where 100 ms was assumed
 
@@ -66,14 +67,15 @@ def heading_offset(t: Floats, turned: Floats, e: Epochs, forwards: Floats) -> fl
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(ex), np.diff(ey)))])
     sums = 0.0 + 0.0j
     reach = max(BASELINE, 4.0 * float(np.median(e.sd[good])))
+    least = 0.5 * min(reach, max(travelled[-1] / 4.0, 0.5))
     for i in range(0, et.size, 5):
-        j = int(np.searchsorted(et, et[i] + 2.0))
-        if j >= et.size:
-            break
+        first, last = np.searchsorted(et, (et[i] + 2.0, et[i] + LONGEST))
+        far = np.flatnonzero(np.hypot(ex[first:last] - ex[i], ey[first:last] - ey[i]) >= least)
+        if far.size == 0:
+            continue
+        j = int(first + far[0])
         dx, dy = ex[j] - ex[i], ey[j] - ey[i]
         distance = math.hypot(dx, dy)
-        if distance < 0.5 * min(reach, max(travelled[-1] / 4.0, 0.5)):
-            continue
         middle = 0.5 * (et[i] + et[j])
         k = min(max(round((middle - t[0]) / STEP), 0), t.size - 1)
         course = math.atan2(dy, dx) + (0.0 if forwards[k] > 0 else math.pi)

@@ -9,13 +9,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...sensors.manifest import GRAVITY
 from ...sensors.streams import FieldLog
 from ..wheels import WheelMotion
 from . import initial, problem
+from . import settings as physics
 from . import state as s
 from .motion import Origin
 from .prepare import STEP, BodyInputs, body_inputs, grid, resolved_yaw_rate, standing, tilt
-from .problem import Epochs, Problem
+from .problem import Epochs, Leaning, Problem, leaning
 from .rolling import WheelSpeed, forwards_of, wheel_speed
 from .settings import FusionSettings, Levels
 
@@ -167,6 +169,7 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
         lag,
         known.yaw,
         creeping(known),
+        leanings(known),
     )
     q = problem.with_azimuths(q, known.azimuths, lag)
     x0, P0 = problem.starting_state(
@@ -182,6 +185,22 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
         P0[s.KAPPA, s.KAPPA] = known.wheel.scale_sd**2
     inject = new_float_spans(known, lag, p)
     return Problem(known.t, known.steps, known.nodes, q, inject, p, x0, P0)
+
+
+def leanings(known: Known) -> tuple[Leaning, ...]:
+    """What the accelerometers of the tractor, then of the seeder, say of the ground's slope."""
+    speed = np.nan_to_num(known.speed) * known.forwards
+    turn = known.nodes[:, s.U_WZ] - (0.0 if known.bias is None else known.bias[2])
+    across = known.nodes[:, s.U_FY] - speed * turn
+    rolls = {"tractor": np.arcsin(np.clip(across / GRAVITY, -0.5, 0.5)), "seeder": known.nodes[:, s.N_ROLL2]}
+    units = known.log.manifest.of_kind("imd").values()
+    found = []
+    for body, yaw in zip(rolls, known.yaw, strict=True):
+        own = [u.accel_bias or physics.ACCEL_BIAS for u in units if u.body == body]
+        if own:
+            sd = math.hypot(math.sqrt(sum(b * b for b in own)) / len(own) / GRAVITY, physics.LEAN)
+            found.append(leaning(yaw, rolls[body], sd, float(known.t[-1] - known.t[0])))
+    return tuple(found)
 
 
 def creeping(known: Known) -> Bools:
