@@ -136,7 +136,7 @@ def identified(document: Document) -> str:
         for entry in document["parameters"]
     ]
     lines = [table(header, rows)]
-    lines += [f"held: {', '.join(str(value) for value in entry.values())}" for entry in document["held"]]
+    lines += [f"held at its stated value: {entry['name']} {entry['reason']}" for entry in document["held"]]
     for name, stage in document["stages"].items():
         lines.append(f"verdict {name.replace('_', ' ')}: {stage['verdict']['value']}")
         lines += [f"  {discrepancy(kind, entry)}" for kind, entry in stage["discrepancy"].items()]
