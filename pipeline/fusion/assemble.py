@@ -64,12 +64,15 @@ def assemble(
     tilt2 = (known.nodes[:, s.N_ROLL2], known.nodes[:, s.N_PITCH2])
     at = output.at_utc(known.t, t, lag, smooth.x, smooth.P, tilt2)
     lateral1, lateral2 = (np.interp(t + lag, known.t, a) for a in lateral_accelerations(known, smooth.x))
-    tractor = output.tractor_motion(at, p, crab[0], lateral1)
-    seeder = output.seeder_motion(at, p, crab[1], lateral2) if known.two is not None else None
+    place = output.place_doubt(
+        p, ground_variance(task), float(np.median(smooth.P[:, output.K_ROLL, output.K_ROLL]))
+    )
+    tractor = output.tractor_motion(at, p, crab[0], lateral1, place)
+    seeder = output.seeder_motion(at, p, crab[1], lateral2, place) if known.two is not None else None
     draw_t = settled.draw_t - lag
     every = output.at_utc(known.t, draw_t, lag, smooth.x, smooth.P, tilt2)
     rng = np.random.default_rng(options.seed + 1)
-    draws = output.body_draws(settled.errors, every, p, known.two is not None, crab, rng)
+    draws = output.body_draws(settled.errors, every, p, known.two is not None, crab, rng, place)
     given = choose_steer_input(known.log, t + lag, wheels)
     bend = tractor.yaw - seeder.yaw if seeder is not None else np.zeros(t.size)
     front = known.log.manifest.machine.tractor.front_axle
@@ -85,6 +88,12 @@ def assemble(
         innovations=innovations(task.measurements, filtered, known.t - lag),
         warnings=warnings_of(known, gnss_t, t, consistency, jumps, wheels) + told,
     )  # fmt: skip
+
+
+def ground_variance(task: Problem) -> float:
+    """Variance (rad²) of the mean roll that all readings of the ground's slope give together; inf without one."""
+    level = task.measurements.var[task.measurements.kind == s.LEVEL_ROLL]
+    return float(np.median(level)) / level.size if level.size else math.inf
 
 
 def constant_crab(machine: Machine, levels: Levels) -> tuple[float, float]:

@@ -140,15 +140,15 @@ def _slope_variance(noise: float) -> float:
     return 1.2 * noise**2 / (RATE_WINDOW * STEP)
 
 
-def tractor_motion(m: Smooth, p: Floats, crab: float, lateral: Floats | None) -> BodyMotion:
-    """The tractor's motion at its centre of mass."""
+def tractor_motion(
+    m: Smooth, p: Floats, crab: float, lateral: Floats | None, place: float = physics.LEVER_SD
+) -> BodyMotion:
+    """The tractor's motion at its centre of mass; place : m, constant doubt of it beside the state's."""
     x = m.x
     c, sn = np.cos(x[:, s.YAW1]), np.sin(x[:, s.YAW1])
     forward = p[s.P_REAR] + p[s.P_SWAY] * np.sin(x[:, s.PITCH]) * np.cos(x[:, s.ROLL])
     left = -p[s.P_SWAY] * np.sin(x[:, s.ROLL])
-    C = _covariance(
-        tractor_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO1]), crab * tractor_crab(m), physics.LEVER_SD
-    )
+    C = _covariance(tractor_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO1]), crab * tractor_crab(m), place)
     return BodyMotion(
         x=x[:, s.X] + forward * c - left * sn,
         y=x[:, s.Y] + forward * sn + left * c,
@@ -163,8 +163,10 @@ def tractor_motion(m: Smooth, p: Floats, crab: float, lateral: Floats | None) ->
     )
 
 
-def seeder_motion(m: Smooth, p: Floats, crab: float, lateral: Floats | None) -> BodyMotion:
-    """The seeder's motion at its centre of mass: behind the hitch by l5."""
+def seeder_motion(
+    m: Smooth, p: Floats, crab: float, lateral: Floats | None, place: float = physics.LEVER_SD
+) -> BodyMotion:
+    """The seeder's motion at its centre of mass, behind the hitch by l5; place : as of the tractor, which leads it."""
     x = m.x
     c1, s1 = np.cos(x[:, s.YAW1]), np.sin(x[:, s.YAW1])
     c2, s2 = np.cos(x[:, s.YAW2]), np.sin(x[:, s.YAW2])
@@ -173,7 +175,7 @@ def seeder_motion(m: Smooth, p: Floats, crab: float, lateral: Floats | None) -> 
     bend = x[:, s.YAW1] - x[:, s.YAW2]
     across = slip_velocity(m) - p[s.P_HITCH] * m.rate1
     C = _covariance(
-        seeder_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO2]), crab * seeder_crab(m, p), physics.LEVER_SD
+        seeder_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO2]), crab * seeder_crab(m, p), place
     )
     return BodyMotion(
         x=x[:, s.X] - p[s.P_HITCH] * c1 + forward * c2 - left * s2,
@@ -190,17 +192,41 @@ def seeder_motion(m: Smooth, p: Floats, crab: float, lateral: Floats | None) -> 
 
 
 def body_draws(
-    error: Floats, at: Smooth, p: Floats, seeder: bool, crab: tuple[float, float], rng: np.random.Generator
-) -> Floats:
+    error: Floats, at: Smooth, p: Floats, seeder: bool, crab: tuple[float, float], rng: np.random.Generator,
+    place: float = 0.0,
+) -> Floats:  # fmt: skip
     """Draws of the error of (x1, y1, yaw1, x2, y2, yaw2), (K, M, 6 or 3), from draws of the KEPT state (M, kept, K).
 
-    at : the smoothed state at the draws' instants; crab : standard deviations of constant crab, one value a draw
+    at : the smoothed state at the draws' instants; crab : standard deviations of constant crab, one value a draw;
+    place : m, of a constant error of place along the tractor's axes, likewise; the seeder shares it
     """
     one = np.einsum("nik,nkd->dni", tractor_jacobian(at, p)[:, :3], error, optimize=True)
     count = error.shape[2]
     one += crab[0] * rng.standard_normal((count, 1, 1)) * tractor_crab(at)
+    shift = moved(at, place * rng.standard_normal((count, 2))) if place > 0.0 else 0.0
+    one[:, :, :2] += shift
     if not seeder:
         return np.ascontiguousarray(one)
     two = np.einsum("nik,nkd->dni", seeder_jacobian(at, p)[:, :3], error, optimize=True)
     two += crab[1] * rng.standard_normal((count, 1, 1)) * seeder_crab(at, p)
+    two[:, :, :2] += shift
     return np.ascontiguousarray(np.concatenate([one, two], axis=2))
+
+
+def moved(at: Smooth, ahead_left: Floats) -> Floats:
+    """Shifts (K, 2) along the tractor's axes, east and north at every instant: (K, M, 2), m."""
+    c, sn = np.cos(at.x[:, s.YAW1]), np.sin(at.x[:, s.YAW1])
+    ahead, left = ahead_left[:, :1], ahead_left[:, 1:]
+    return np.stack([ahead * c - left * sn, ahead * sn + left * c], axis=2)
+
+
+def place_doubt(p: Floats, ground: float, roll: float) -> float:
+    """Constant doubt of place (m): lever arms by tape, and the unit's mounting where its gyros tell the tilt.
+
+    On a straight row the ground's slope tells the body's mean roll and the mounting is lost in the accelerometer's
+    bias. A turn shows the gyros where the vertical is, but against the unit, not the body.
+
+    ground, roll : variances (rad²) of the mean roll by the ground's slope alone, and as smoothed
+    """
+    by_gyros = min(max(1.0 - roll / max(ground, 1e-12), 0.0), 1.0)
+    return math.hypot(physics.LEVER_SD, by_gyros * physics.MOUNT_SD * (p[s.P_ANT_Z] + p[s.P_SWAY]))

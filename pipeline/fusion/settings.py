@@ -75,5 +75,6 @@ ROUGH_TIME = 1.0  # s
 GYRO_SCALE = 0.005  # 1: MEMS scale error by data sheets, 0.5 to 1 %
 BIAS_WALK = 2.0e-6  # rad/s/sqrt(s): MEMS bias instability of about 10 °/h over minutes
 LEVER_SD = 0.003  # m: antenna and centre-of-mass positions by tape
+MOUNT_SD = 0.004  # rad: a unit's bracket against the body's vertical, by a spirit level
 HEADING_SD = 0.003  # rad: a dual antenna's baseline against the body's axis
 UNSTATED = {1: 1.5, 2: 0.6, 3: 0.6, 4: 0.015, 5: 0.30, 6: 5.0, 9: 0.6}  # m by GGA quality when no GST says

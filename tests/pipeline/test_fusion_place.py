@@ -1,0 +1,45 @@
+"""The doubt of place that no state of the filter holds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from smts_validate.pipeline.fusion import output, settings
+from smts_validate.pipeline.fusion import state as s
+
+HEIGHT = 2.1  # m
+
+
+def parameters() -> np.ndarray:
+    """A roof antenna over the centre of mass, everything else nought."""
+    p = np.zeros(s.P_SIZE)
+    p[s.P_ANT_Z] = HEIGHT
+    return p
+
+
+def test_on_a_straight_row_the_ground_tells_the_tilt_and_the_mounting_is_no_doubt() -> None:
+    assert output.place_doubt(parameters(), 4e-5, 4e-5) == pytest.approx(settings.LEVER_SD)
+    assert output.place_doubt(parameters(), 4e-5, 9e-5) == pytest.approx(settings.LEVER_SD)
+
+
+def test_where_the_gyros_tell_the_tilt_their_mounting_moves_a_roof_antenna() -> None:
+    told = output.place_doubt(parameters(), 4e-5, 1e-8)
+    assert told == pytest.approx(np.hypot(settings.LEVER_SD, settings.MOUNT_SD * HEIGHT), rel=1e-3)
+    half = output.place_doubt(parameters(), 4e-5, 2e-5)
+    assert settings.LEVER_SD < half < told
+
+
+def test_the_draws_place_errs_along_the_tractors_axes_on_both_bodies_alike() -> None:
+    nodes, count = 3, 4000
+    x = np.zeros((nodes, s.SIZE))
+    x[:, s.YAW1] = [0.0, 0.5 * np.pi, 2.0]
+    none = np.zeros(nodes)
+    at = output.Smooth(x, np.zeros((nodes, 11, 11)), none, none, none, none)
+    draws = output.body_draws(
+        np.zeros((nodes, 11, count)), at, parameters(), True, (0.0, 0.0), np.random.default_rng(0), 0.01
+    )
+    np.testing.assert_allclose(draws[:, :, :2], draws[:, :, 3:5], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(draws[:, :, :2].std(axis=0), 0.01, rtol=0.05)
+    # ahead at yaw 0 is east, at a quarter turn north: one error of the machine, not one of the field
+    np.testing.assert_allclose(draws[:, 0, 0], draws[:, 1, 1], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(draws[:, 0, 1], -draws[:, 1, 0], rtol=0, atol=1e-15)
