@@ -26,6 +26,7 @@ from .settings import FusionSettings, Levels
 Floats = NDArray[np.float64]
 
 TUNED = 6_000  # nodes of motion that the levels are tuned on
+MORE = 4  # relinearisations beyond those asked for, while the receiver is still refused at new places
 REFUSED_RUN = 4.0  # s of refused fixed positions after which the receiver, not the filter, sets the place
 
 
@@ -142,13 +143,17 @@ def settle(known: Known, options: FusionSettings, levels: Levels, path: Floats) 
     jumps = np.zeros((known.t.size, 2))
     lag = float(path[-1, s.LAG])
     task = build(known, options, levels, lag)
-    for _ in range(options.passes if known.t.size <= LONG else 1):
+    passes = options.passes if known.t.size <= LONG else 1
+    for done in range(1, passes + (MORE if options.passes > 0 else 0) + 1):
         path, found = relinearised(task, options, path)
+        settled = not (found > jumps).any()
         lag = float(path[-1, s.LAG])
         known = replace(known, yaw=(path[:, s.YAW1].copy(), path[:, s.YAW2].copy()))
         jumps = np.maximum(jumps, found)
         task = build(known, options, levels, lag)
         task = replace(task, inject=task.inject + jumps)
+        if done >= passes and settled:
+            break
     filtered, smooth = solve(task, options, path)
     filtered = replace(filtered, x=filtered.x[-1:].copy())
     count = options.draws if known.t.size <= LONG else max(options.draws // 4, 1)
@@ -164,20 +169,22 @@ def relinearised(task: Problem, options: FusionSettings, path: Floats) -> tuple[
 
 
 def insisting(task: Problem, f: Filtered) -> Floats:
-    """Variance (N, 2) for jumps of the fixed positions' slow error: where and by how much they were refused on end.
+    """Variance (N, 2) for jumps of the positions' slow errors (fixed, others): where and by how much they were refused
+    on end.
 
     A receiver that stays away for REFUSED_RUN seconds has resolved its ambiguities anew; a shorter excursion
     stays refused.
     """
     out = np.zeros((task.t.size, 2))
-    m = np.flatnonzero(task.measurements.kind == s.FIXED_X)
-    node, refused = task.measurements.node[m], ~f.used[m]
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], refused.astype(np.int8), [0]])))
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
-        if (node[b - 1] - node[a]) * STEP < REFUSED_RUN:
-            continue
-        size = float(np.median(f.nu[m[a:b]] ** 2 + f.nu[m[a:b] + 1] ** 2))
-        out[node[a], 0] = size
-        if b < node.size:
-            out[node[b], 0] = size
+    for column, kind in enumerate((s.FIXED_X, s.FLOAT_X)):
+        m = np.flatnonzero(task.measurements.kind == kind)
+        node, refused = task.measurements.node[m], ~f.used[m]
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], refused.astype(np.int8), [0]])))
+        for a, b in zip(edges[::2], edges[1::2], strict=True):
+            if (node[b - 1] - node[a]) * STEP < REFUSED_RUN:
+                continue
+            size = float(np.median(f.nu[m[a:b]] ** 2 + f.nu[m[a:b] + 1] ** 2))
+            out[node[a], column] = size
+            if b < node.size:
+                out[node[b], column] = size
     return out

@@ -96,7 +96,8 @@ def prepare(log: FieldLog, wheels: Mapping[str, WheelMotion]) -> Known:
         axle = np.array([-float(np.mean(machine.seeder.axles)), 0.0, 0.0])
         two = body_inputs(log, "seeder", axle, t, still)
     forwards = forwards_of(t, spin, log)
-    wheel = wheel_speed(t, wheels, log, one.node_rate[:, 2], forwards)
+    fixed = bool(np.mean(epochs[0].fixed) > 0.5)
+    wheel = wheel_speed(t, wheels, log, one.node_rate[:, 2], forwards, fixed)
     return _aligned(Known(log, origin, t, one, two, epochs, still, wheel, speed, forwards), forwards)
 
 

@@ -25,6 +25,7 @@ Bools = NDArray[np.bool_]
 EVERY = 5  # nodes between measurements: wheel slip does not change faster than at 10 Hz
 SLOWEST = 0.5  # m/s: a sensor that counts teeth loses them when the wheel creeps
 QUIETEST = 0.005  # m/s: of a sensor whose noise nobody states; a bus tells 0.001 to 0.03 m/s apart
+UNTOLD = 0.1  # m/s: the same where positions wander by metres and cannot tell how good the sensor is
 GAP = 2.5  # nominal intervals of a speed sensor: what lies in a longer gap is not known
 
 
@@ -52,11 +53,17 @@ class WheelSpeed:
 
 
 def wheel_speed(
-    t: Floats, wheels: Mapping[str, WheelMotion], log: FieldLog, yaw_rate: Floats, forwards: Floats
+    t: Floats,
+    wheels: Mapping[str, WheelMotion],
+    log: FieldLog,
+    yaw_rate: Floats,
+    forwards: Floats,
+    fixed: bool = True,
 ) -> WheelSpeed | None:
     """What the wheels say on the grid t (N,); None where nothing tells it.
 
     yaw_rate : (N,) rad/s of the tractor; forwards : (N,) 1 or -1, for sensors that tell no sign
+    fixed : whether most positions are RTK fixed, and so tell a sensor's noise
     """
     tractor = log.manifest.machine.tractor
     rear = [w for w in wheels.values() if w.wheel.startswith("rear")]
@@ -65,7 +72,8 @@ def wheel_speed(
     streams = log.of_type(SpeedStream)
     sensors: dict[str, Speed] = log.manifest.of_kind("speed")
     told = [(sensors[name], stream) for name, stream in streams.items() if stream.t.size > 1]
-    return by_sensors(t, told, tractor, yaw_rate, forwards) if told else None
+    least = QUIETEST if fixed else UNTOLD
+    return by_sensors(t, told, tractor, yaw_rate, forwards, least) if told else None
 
 
 def by_units(t: Floats, rear: Sequence[WheelMotion], tractor: Tractor, yaw_rate: Floats) -> WheelSpeed:
@@ -82,15 +90,21 @@ def by_units(t: Floats, rear: Sequence[WheelMotion], tractor: Tractor, yaw_rate:
 
 
 def by_sensors(
-    t: Floats, told: Sequence[tuple[Speed, SpeedStream]], tractor: Tractor, yaw_rate: Floats, forwards: Floats
+    t: Floats,
+    told: Sequence[tuple[Speed, SpeedStream]],
+    tractor: Tractor,
+    yaw_rate: Floats,
+    forwards: Floats,
+    least: float = QUIETEST,
 ) -> WheelSpeed:
     """The mean of all speed sensors, each brought to the scale of the first: one that drops out makes no step.
 
-    Their errors are not taken to average out: slip is common to them.
+    Their errors are not taken to average out: slip is common to them. least : m/s, where no noise is stated
     """
-    speeds, fresh = [], np.zeros(t.size, dtype=np.bool_)
+    speeds: list[Floats] = []
+    fresh = np.zeros(t.size, dtype=np.bool_)
     for sensor, stream in told:
-        signed = (stream.speed < 0.0).any()
+        signed = tells_sign(stream)
         own = np.interp(t, stream.t, stream.speed)
         speed = at_middle(own if signed else own * forwards, sensor, tractor, yaw_rate)
         speed[away(t, stream, sensor.rate)] = np.nan
@@ -98,17 +112,17 @@ def by_sensors(
         speeds.append(speed if not speeds else speed * ratio(speeds[0], speed))
     known = np.isfinite(speeds)
     mean = np.where(known, speeds, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    noise = min(sensor.noise or QUIETEST for sensor, _ in told)
+    noise = min(sensor.noise or least for sensor, _ in told)
     return WheelSpeed(
         np.where(known.any(axis=0), mean, np.nan), np.ones(t.size), fresh, noise, told[0][0].scale_sd,
-        {stream.name: {"speed": _least(sensor)} for sensor, stream in told},
+        {stream.name: {"speed": _stated(sensor, least)} for sensor, stream in told},
     )  # fmt: skip
 
 
-def _least(sensor: Speed) -> dict[str, Any]:
+def _stated(sensor: Speed, least: float) -> dict[str, Any]:
     """The least noise of a sensor; what the innovations show beyond it is the level `wheel`."""
     source = "assumed, at least" if sensor.noise is None else "manifest, at least"
-    return {"value": sensor.noise or QUIETEST, "unit": "m/s", "source": source}
+    return {"value": sensor.noise or least, "unit": "m/s", "source": source}
 
 
 def left_of_middle(wheel: str | None, tractor: Tractor) -> float:
@@ -156,9 +170,14 @@ def ratio(reference: Floats, speed: Floats) -> float:
     return float(np.median(reference[both] / speed[both]))
 
 
+def tells_sign(stream: SpeedStream) -> bool:
+    """Whether a sensor's speed is negative backwards: it was so at more than a creep; noise about rest is no sign."""
+    return bool((stream.speed < -SLOWEST).any())
+
+
 def forwards_of(t: Floats, spin: Floats | None, log: FieldLog) -> Floats:
     """Direction of travel (N,), 1 or -1: by the wheels' units, else by a speed sensor that tells a sign."""
     if spin is None:
-        signed = [stream for stream in log.of_type(SpeedStream).values() if (stream.speed < 0.0).any()]
+        signed = [stream for stream in log.of_type(SpeedStream).values() if tells_sign(stream)]
         spin = np.interp(t, signed[0].t, signed[0].speed) if signed else np.ones(t.size)
     return np.where(spin < 0.0, -1.0, 1.0)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from fusion_samples import Sample, changed, errors, make, rms
-from smts_validate.pipeline.fusion.fuse import fuse
+from smts_validate.pipeline.fusion import state as s
+from smts_validate.pipeline.fusion.fuse import fuse, insisting
 from smts_validate.pipeline.fusion.motion import Motion
-from smts_validate.pipeline.fusion.rolling import at_middle, by_sensors, forwards_of, own_nodes
+from smts_validate.pipeline.fusion.rolling import UNTOLD, at_middle, by_sensors, forwards_of, own_nodes
 from smts_validate.pipeline.fusion.settings import FusionSettings
+from smts_validate.pipeline.source import read_source
 from smts_validate.pipeline.twin_plan import TwinPlan, preset
 from smts_validate.sensors.manifest import Speed, Tractor
 from smts_validate.sensors.streams import FieldLog, SpeedStream
@@ -108,6 +114,42 @@ def test_units_in_the_rear_wheels_come_before_the_bus() -> None:
     np.testing.assert_array_equal(motions[0].tractor.x, motions[1].tractor.x)
 
 
+ROOT = Path(__file__).resolve().parents[2]
+HUSKY = ROOT.parent / "shared" / "real" / "husky" / "husky_test1_mcap"
+
+
+@pytest.mark.skipif(not HUSKY.is_dir(), reason="../shared is not beside this checkout")
+def test_good_odometry_does_not_lock_out_a_receiver_that_wanders_by_metres(tmp_path: Path) -> None:
+    page = (ROOT / "docs/howto-other-vehicles.md").read_text("utf-8")
+    text = next(t for t in re.findall(r"```toml\n(.*?)```", page, re.S) if "/imu/data" in t)
+    odometry = '\n[sensors.odom]\nkind = "speed"\ntopic = "/husky_velocity_controller/odom"\nrate = 10.0\n'
+    (tmp_path / "husky.toml").write_text(text + odometry, encoding="utf-8")
+    motion = fuse(read_source(HUSKY, tmp_path / "husky.toml"), QUICK)
+    channels = {c.channel: c for c in motion.consistency}
+    position, wheels = channels["gnss position, not fixed"], channels["wheel speed"]
+    assert position.rejected < 0.05 * position.count
+    assert wheels.rejected < 0.05 * wheels.count
+    assert motion.noise["odom"]["speed"]["value"] == UNTOLD
+
+
+@pytest.mark.parametrize(("kind", "column"), [(s.FIXED_X, 0), (s.FLOAT_X, 1)])
+def test_positions_refused_on_end_are_a_new_error_of_the_receiver(kind: int, column: int) -> None:
+    """One epoch each 0.1 s; refused from 3 s to 9 s, by 2 m east and 1 m north, and for one second at 15 s."""
+    t = np.arange(0.0, 20.0, 0.1)
+    away = (t > 2.95) & (t < 8.95)
+    refused = away | ((t > 14.95) & (t < 15.95))
+    q = SimpleNamespace(
+        kind=np.tile([kind, kind + 1], t.size), node=np.repeat(np.rint(t / 0.02).astype(int), 2)
+    )
+    offsets = np.where(away[:, None], [2.0, 1.0], 0.0).ravel()
+    found: Any = SimpleNamespace(used=~np.repeat(refused, 2), nu=offsets)
+    task: Any = SimpleNamespace(t=GRID, measurements=q)
+    jumps = insisting(task, found)
+    assert np.flatnonzero(jumps[:, column]).tolist() == [150, 450]  # when it left, and when it was back
+    np.testing.assert_allclose(jumps[[150, 450], column], 5.0)
+    assert not jumps[:, 1 - column].any()
+
+
 # --- the pieces ---
 
 TRACTOR = Tractor(
@@ -180,6 +222,8 @@ def test_a_sensor_without_sign_takes_the_direction_of_travel_one_with_sign_gives
         GRID, [(speed_sensor(), series("a", t, np.full(t.size, 2.0)))], TRACTOR, np.zeros(GRID.size), back
     )
     np.testing.assert_allclose(blind.speed[GRID < 19.8], 2.0 * back[GRID < 19.8])
+    resting = series("a", t, np.where(t < 10.0, 2.0, -0.002))
+    assert (forwards_of(GRID, None, replace(passes[0].log, streams={"a": resting})) == 1.0).all()
     signed = series("a", t, np.where(t < 10.0, 2.0, -2.0))
     log = replace(passes[0].log, streams={**passes[0].log.streams, "a": signed})
     told = forwards_of(GRID, None, log)
