@@ -90,7 +90,7 @@ def _places(plan: TwinPlan) -> Floats:
     """Distances of the disturbance, m, beyond the last row's end."""
     lanes = plan.path.rows
     distance = lanes * plan.path.row_length + (lanes - 1) * math.pi * plan.path.turn_radius + 50.0
-    return np.arange(math.ceil(distance / SPACING) + 1) * SPACING
+    return np.asarray(np.arange(math.ceil(distance / SPACING) + 1) * SPACING, dtype=np.float64)
 
 
 def weight_load(plan: TwinPlan, machine: Machine, path: Path) -> Floats:

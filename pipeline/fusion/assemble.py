@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
 
-from ...sensors.manifest import Machine
+from ...sensors.manifest import GRAVITY, Machine
 from ...sensors.streams import Warn
 from ..wheels import WheelMotion, choose_steer_input
 from . import output
+from . import settings as physics
 from . import state as s
 from .consistency import assess, innovations
 from .engine_compiled import Filtered, Smoothed
@@ -30,6 +32,7 @@ Floats = NDArray[np.float64]
 
 # Constant crab, unseen, as a share of the slip angle's standard deviation: side forces average out along a row.
 CRAB = 0.1
+SLOPE_WINDOW = 750  # nodes, 15 s: the slope of the ground, and not rocking, is what loads tyres for long
 ZERO_FAR = 4.0  # stated standard deviations of a steering sensor's zero, beyond which its reader is told
 OUTAGE = 2.0  # s without an accepted position that is worth a warning
 
@@ -57,7 +60,6 @@ def assemble(
 ) -> Motion:
     """The pass's `Motion` from the last filter and smoother."""
     task, filtered, smooth, jumps = settled.task, settled.filtered, settled.smooth, settled.jumps
-    crab = constant_crab(known.log.manifest.machine, levels)
     lag = float(smooth.x[-1, s.LAG])
     t = output.utc_grid(known.t, lag)
     p = task.parameters
@@ -67,11 +69,14 @@ def assemble(
     place = output.place_doubt(
         p, ground_variance(task), float(np.median(smooth.P[:, output.K_ROLL, output.K_ROLL]))
     )
+    slide, constant = slope_crab(smooth), constant_crab(known.log.manifest.machine, levels)
+    crab = crab_at(t + lag, known.t, slide, constant)
     tractor = output.tractor_motion(at, p, crab[0], lateral1, place)
     seeder = output.seeder_motion(at, p, crab[1], lateral2, place) if known.two is not None else None
     draw_t = settled.draw_t - lag
     every = output.at_utc(known.t, draw_t, lag, smooth.x, smooth.P, tilt2)
     rng = np.random.default_rng(options.seed + 1)
+    crab = crab_at(settled.draw_t, known.t, slide, constant)
     draws = output.body_draws(settled.errors, every, p, known.two is not None, crab, rng, place)
     given = choose_steer_input(known.log, t + lag, wheels)
     bend = tractor.yaw - seeder.yaw if seeder is not None else np.zeros(t.size)
@@ -116,6 +121,21 @@ def constant_crab(machine: Machine, levels: Levels) -> tuple[float, float]:
         wheels = np.array([2.0, 2.0 * len(seeder.axles)])
         crab = np.hypot(crab, np.array([at_rear, at_axle]) / (wheels * stiffness))
     return float(crab[0]), float(crab[1])
+
+
+def slope_crab(smooth: Smoothed) -> Floats:
+    """Crab (N,), rad, that tyres as soft as COMPLIANCE have under the weight's part along the ground, by the tractor's
+    roll over SLOPE_WINDOW as far as that is more than its own doubt; it turns both bodies' yaw uphill."""
+    roll = uniform_filter1d(smooth.x[:, s.ROLL], min(SLOPE_WINDOW, smooth.x.shape[0]), mode="nearest")
+    seen = np.sqrt(np.maximum(roll**2 - smooth.P[:, output.K_ROLL, output.K_ROLL], 0.0))
+    return np.asarray(physics.COMPLIANCE * GRAVITY * np.sign(roll) * seen)
+
+
+def crab_at(t: Floats, nodes: Floats, slide: Floats, constant: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Deviations of both bodies' crab at instants t (M,), rad, each (M, 2): constant along a row, and by the slope."""
+    by_slope = np.interp(t, nodes, slide)
+    tractor, seeder = (np.column_stack([np.full(t.size, c), by_slope]) for c in constant)
+    return tractor, seeder
 
 
 def lateral_accelerations(known: Known, x: Floats) -> tuple[Floats, Floats]:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from .epochs import Epochs
 from .prepare import STEP
-from .problem import Epochs
 
 Floats = NDArray[np.float64]
 

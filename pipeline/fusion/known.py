@@ -15,9 +15,11 @@ from ..wheels import WheelMotion
 from . import initial, problem
 from . import settings as physics
 from . import state as s
+from .epochs import Epochs
+from .ground import Leaning, leaning
 from .motion import Origin
 from .prepare import STEP, BodyInputs, body_inputs, grid, resolved_yaw_rate, standing, tilt
-from .problem import Epochs, Leaning, Problem, leaning
+from .problem import Problem
 from .rolling import WheelSpeed, forwards_of, wheel_speed
 from .settings import FusionSettings, Levels
 
@@ -171,6 +173,7 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
         known.yaw,
         creeping(known),
         leanings(known),
+        way_of(known),
     )
     q = problem.with_azimuths(q, known.azimuths, lag)
     x0, P0 = problem.starting_state(
@@ -186,6 +189,15 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
         P0[s.KAPPA, s.KAPPA] = known.wheel.scale_sd**2
     inject = new_float_spans(known, lag, p)
     return Problem(known.t, known.steps, known.nodes, q, inject, p, x0, P0)
+
+
+def way_of(known: Known) -> Floats:
+    """Distance (N,) along the heading, m: it stands while the machine creeps or rests, and falls backwards."""
+    seen = np.isfinite(known.speed)
+    if not seen.any():
+        return np.zeros(known.t.size)
+    speed = np.interp(known.t, known.t[seen], known.speed[seen])
+    return np.asarray(np.cumsum(np.where(speed > CREEP, speed, 0.0) * known.forwards) * STEP)
 
 
 def leanings(known: Known) -> tuple[Leaning, ...]:

@@ -121,15 +121,20 @@ def seeder_crab(m: Smooth, p: Floats) -> Floats:
     return np.column_stack([p[s.P_COM2] * np.sin(yaw), -p[s.P_COM2] * np.cos(yaw), np.ones(yaw.size)])
 
 
-def _covariance(J: Floats, P: Floats, rate_variance: float, crab: Floats, lever: float) -> Floats:
-    """J·P·Jᵀ with what the state does not hold: the rates' own noise, constant crab (N, 3), lever arms."""
+def _covariance(
+    J: Floats, P: Floats, rate_variance: float, crab: Floats, turned: Floats, lever: float
+) -> Floats:
+    """J·P·Jᵀ with what the state does not hold: the rates' own noise, lever arms, and crab.
+
+    crab : (N, K) deviations of K independent errors of the yaw, rad; turned : (N, 3) d(x, y, yaw) by one
+    """
     C = np.empty((J.shape[0], BODY, BODY))
     for a in range(0, J.shape[0], BLOCK):
         here = slice(a, a + BLOCK)
         C[here] = J[here] @ P[here] @ J[here].transpose(0, 2, 1)
     C[:, 0, 0] += lever**2
     C[:, 1, 1] += lever**2
-    C[:, :3, :3] += crab[:, :, None] * crab[:, None, :]
+    C[:, :3, :3] += np.sum(crab**2, axis=1)[:, None, None] * turned[:, :, None] * turned[:, None, :]
     C[:, 4, 4] += rate_variance
     C[:, 5, 5] += rate_variance
     return np.asarray(0.5 * (C + C.transpose(0, 2, 1)))
@@ -141,14 +146,14 @@ def _slope_variance(noise: float) -> float:
 
 
 def tractor_motion(
-    m: Smooth, p: Floats, crab: float, lateral: Floats | None, place: float = physics.LEVER_SD
+    m: Smooth, p: Floats, crab: Floats, lateral: Floats | None, place: float = physics.LEVER_SD
 ) -> BodyMotion:
     """The tractor's motion at its centre of mass; place : m, constant doubt of it beside the state's."""
     x = m.x
     c, sn = np.cos(x[:, s.YAW1]), np.sin(x[:, s.YAW1])
     forward = p[s.P_REAR] + p[s.P_SWAY] * np.sin(x[:, s.PITCH]) * np.cos(x[:, s.ROLL])
     left = -p[s.P_SWAY] * np.sin(x[:, s.ROLL])
-    C = _covariance(tractor_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO1]), crab * tractor_crab(m), place)
+    C = _covariance(tractor_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO1]), crab, tractor_crab(m), place)
     return BodyMotion(
         x=x[:, s.X] + forward * c - left * sn,
         y=x[:, s.Y] + forward * sn + left * c,
@@ -164,7 +169,7 @@ def tractor_motion(
 
 
 def seeder_motion(
-    m: Smooth, p: Floats, crab: float, lateral: Floats | None, place: float = physics.LEVER_SD
+    m: Smooth, p: Floats, crab: Floats, lateral: Floats | None, place: float = physics.LEVER_SD
 ) -> BodyMotion:
     """The seeder's motion at its centre of mass, behind the hitch by l5; place : as of the tractor, which leads it."""
     x = m.x
@@ -174,9 +179,7 @@ def seeder_motion(
     left = -p[s.P_SWAY2] * np.sin(m.roll2)
     bend = x[:, s.YAW1] - x[:, s.YAW2]
     across = slip_velocity(m) - p[s.P_HITCH] * m.rate1
-    C = _covariance(
-        seeder_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO2]), crab * seeder_crab(m, p), place
-    )
+    C = _covariance(seeder_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO2]), crab, seeder_crab(m, p), place)
     return BodyMotion(
         x=x[:, s.X] - p[s.P_HITCH] * c1 + forward * c2 - left * s2,
         y=x[:, s.Y] - p[s.P_HITCH] * s1 + forward * s2 + left * c2,
@@ -191,24 +194,30 @@ def seeder_motion(
     )
 
 
+def _crabbing(crab: Floats, count: int, rng: np.random.Generator) -> Floats:
+    """Draws of a yaw's error by crab, (count, M, 1), rad."""
+    return np.asarray((rng.standard_normal((count, crab.shape[1])) @ crab.T)[:, :, None])
+
+
 def body_draws(
-    error: Floats, at: Smooth, p: Floats, seeder: bool, crab: tuple[float, float], rng: np.random.Generator,
+    error: Floats, at: Smooth, p: Floats, seeder: bool, crab: tuple[Floats, Floats], rng: np.random.Generator,
     place: float = 0.0,
 ) -> Floats:  # fmt: skip
     """Draws of the error of (x1, y1, yaw1, x2, y2, yaw2), (K, M, 6 or 3), from draws of the KEPT state (M, kept, K).
 
-    at : the smoothed state at the draws' instants; crab : standard deviations of constant crab, one value a draw;
+    at : the smoothed state at the draws' instants; crab : (M, modes) deviations of each body's crab, rad, one value
+    of each mode a draw;
     place : m, of a constant error of place along the tractor's axes, likewise; the seeder shares it
     """
     one = np.einsum("nik,nkd->dni", tractor_jacobian(at, p)[:, :3], error, optimize=True)
     count = error.shape[2]
-    one += crab[0] * rng.standard_normal((count, 1, 1)) * tractor_crab(at)
+    one += _crabbing(crab[0], count, rng) * tractor_crab(at)
     shift = moved(at, place * rng.standard_normal((count, 2))) if place > 0.0 else 0.0
     one[:, :, :2] += shift
     if not seeder:
         return np.ascontiguousarray(one)
     two = np.einsum("nik,nkd->dni", seeder_jacobian(at, p)[:, :3], error, optimize=True)
-    two += crab[1] * rng.standard_normal((count, 1, 1)) * seeder_crab(at, p)
+    two += _crabbing(crab[1], count, rng) * seeder_crab(at, p)
     two[:, :, :2] += shift
     return np.ascontiguousarray(np.concatenate([one, two], axis=2))
 

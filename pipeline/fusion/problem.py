@@ -15,6 +15,8 @@ from ...sensors.manifest import GRAVITY, Gps, Manifest, Seeder, Tractor
 from ...sensors.streams import FieldLog, GnssStream
 from . import settings as physics
 from . import state as s
+from .epochs import Epochs
+from .ground import Leaning, ground_slope, rough_mean, undulation
 from .motion import Origin
 from .prepare import STEP, BodyInputs
 from .rolling import WheelSpeed
@@ -25,8 +27,6 @@ Ints = NDArray[np.int64]
 
 EVERY_TILT = 2  # nodes between tilt and hitch measurements: 25 Hz
 LEVEL_EVERY = 50
-STEEPEST = 0.15  # rad: no field that is sown is steeper across
-APART = 5.0  # m, with ten times the median distance: altitudes that far from the median are not the ground's
 HITCH_FLOOR = 0.001  # m/s, white part of the seeder's lateral velocity
 SLOWEST_COURSE = 0.5  # m/s: below it a receiver's course is noise
 DRIVE_WINDOW = 51  # nodes: acceleration by the wheels is a slope over 1 s
@@ -36,29 +36,6 @@ FIXED = (4.0,)
 AZIMUTH_FREE = 1.0  # rad: nothing is known of a magnetometer's constant error
 
 Part = tuple[Ints, Ints, Floats, Floats, Floats]  # kind, node, value, variance, seconds ahead of the node
-
-
-@dataclass(frozen=True)
-class Epochs:
-    """Positions of one receiver in the plane: t (UTC), x, y, z, stated deviation, whether fixed, velocity or NaN.
-
-    speed : (N,) m/s, by the receiver's own statement, at rest too; NaN or None where it states none
-    """
-
-    name: str
-    body: str
-    first: bool
-    t: Floats
-    x: Floats
-    y: Floats
-    z: Floats
-    sd: Floats
-    fixed: NDArray[np.bool_]
-    vx: Floats
-    vy: Floats
-    heading: Floats
-    stated: bool
-    speed: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -235,19 +212,20 @@ def nodes_of(one: BodyInputs, yaw_rate2: Floats | None, roll2: Floats, pitch2: F
 def measurements_of(
     t: Floats, epochs: Sequence[Epochs], nodes: Floats, still: NDArray[np.bool_], wheel: WheelSpeed | None,
     levels: Levels, p: Floats, lag: float, yaw: tuple[Floats, Floats | None], slow: NDArray[np.bool_],
-    bodies: Sequence[Leaning] = (),
+    bodies: Sequence[Leaning], way: Floats,
 ) -> Measurements:  # fmt: skip
     """All scalar measurements in the order of nodes; `lag` places GNSS epochs beside their nearest node.
 
     yaw : approximate yaws on the grid, by which receivers' headings are unwrapped
     slow : nodes where the machine creeps: its wheels' slip is not small against its speed there
     bodies : what the tractor's and the seeder's accelerometers say of the ground's slope
+    way : (N,) m, distance along the heading
     """
     parts: list[tuple[Ints, Ints, Floats, Floats, Floats]] = []
     for e in epochs:
         parts += _gnss(t, e, levels, lag, yaw, nodes, p)
     parts += _motion(nodes, still | slow, still, levels, p, wheel)
-    parts += _rest(nodes, still, p) + _level(t, epochs, yaw[0], bodies)
+    parts += _rest(nodes, still, p) + _level(t, epochs, yaw[0], bodies, way)
     return sorted_parts(parts)
 
 
@@ -371,89 +349,23 @@ def _rest(nodes: Floats, still: NDArray[np.bool_], p: Floats) -> list[Part]:
     return parts
 
 
-@dataclass(frozen=True)
-class Leaning:
-    """What one body's accelerometers say of the ground's gradient by the roll they read, as information.
-
-    matrix (2, 2), vector (2,) : normal equations of the gradient (east, north), the reading's constant error eliminated
-    """
-
-    matrix: Floats
-    vector: Floats
-
-
-def leaning(yaw: Floats, roll: Floats, sd: float, duration: float) -> Leaning:
-    """Of a body's roll (N,), rad, at headings yaw (N,): slope to the left, a constant error N(0, sd²) and the lean on
-    rough ground, whose mean over `duration` s is small."""
-    axis = np.column_stack([-np.sin(yaw), np.cos(yaw)])
-    noise = _rough(duration) * yaw.size
-    total = axis.sum(axis=0) / noise
-    shared = yaw.size / noise + 1.0 / sd**2
-    return Leaning(
-        axis.T @ axis / noise - np.outer(total, total) / shared,
-        axis.T @ roll / noise - total * (roll.sum() / noise / shared),
-    )
-
-
-def sloping(bodies: Sequence[Leaning]) -> float:
-    """Deviation of the ground's cross slope, rad, by which its readings on all bodies are as large as they are.
-
-    Maximum likelihood of a prior's variance ("type II"): what was read, squared, less the variance that the sensors'
-    own constant errors give it, in the direction where most of it is left. 0 where the errors explain the readings.
-    """
-    if not bodies:
-        return 0.0
-    covariance = np.linalg.inv(sum(b.matrix for b in bodies) + np.eye(2) / STEEPEST**2)
-    gradient = covariance @ sum(b.vector for b in bodies)
-    variances, axes = np.linalg.eigh(covariance)
-    return math.sqrt(max(float(np.max((axes.T @ gradient) ** 2 - variances)), 0.0))
-
-
-def ground_slope(e: Epochs, bodies: Sequence[Leaning] = ()) -> tuple[Floats, Floats]:
-    """Gradient (2,) of the ground east and north, and its covariance (2, 2), from altitudes along the path.
-
-    Ridge regression: altitudes err slowly, by twice the horizontal deviation; a gradient that the path does not
-    show has the prior of a field as level as the one it shows and as the `bodies` on it read, never better than SLOPE.
-    The last of the bodies, where there are two, is the seeder, whose reading the filter does not have: it is taken in
-    here. An altitude that stands apart from all others (a fix in two dimensions reads 0 m) is none of the ground's.
-    """
-    seen = sloping(bodies)
-    other = bodies[1:]
-    middle = np.nanmedian(e.z) if np.isfinite(e.z).any() else math.nan
-    apart = np.abs(e.z - middle)
-    ok = apart <= APART + 10.0 * np.nanmedian(apart) if math.isfinite(middle) else np.isfinite(e.z)
-    A, z, noise = np.zeros((0, 2)), np.zeros(0), 1.0
-    prior = max(3.0 * physics.SLOPE, seen)
-    if ok.sum() >= 20:
-        A = np.column_stack([e.x[ok] - e.x[ok].mean(), e.y[ok] - e.y[ok].mean()])
-        z = e.z[ok] - np.median(e.z[ok])
-        independent = max((e.t[ok][-1] - e.t[ok][0]) / physics.TAU_GNSS, 2.0)
-        noise = (2.0 * float(np.median(e.sd[ok]))) ** 2 * ok.sum() / independent
-        loose = np.linalg.solve(A.T @ A / noise + np.eye(2) / 0.05**2, A.T @ z / noise)
-        prior = max(physics.SLOPE, float(np.hypot(*loose)), seen)
-    information = A.T @ A / noise + np.eye(2) / prior**2 + sum((b.matrix for b in other), np.zeros((2, 2)))
-    vector = A.T @ z / noise + sum((b.vector for b in other), np.zeros(2))
-    return np.linalg.solve(information, vector), np.linalg.inv(information)
-
-
-def _rough(duration: float) -> float:
-    """Variance of the mean lean over rough ground in `duration` seconds, rad²."""
-    return physics.ROUGH**2 * 2.0 * physics.ROUGH_TIME / max(duration, 1.0)
-
-
-def _level(t: Floats, epochs: Sequence[Epochs], yaw: Floats, bodies: Sequence[Leaning]) -> list[Part]:
+def _level(
+    t: Floats, epochs: Sequence[Epochs], yaw: Floats, bodies: Sequence[Leaning], way: Floats
+) -> list[Part]:
     """Roll and pitch of the ground once a second, weighted so that all of them know its mean slope only once."""
-    gradient, covariance = ground_slope(next(e for e in epochs if e.first), bodies)
+    main = next(e for e in epochs if e.first)
+    gradient, covariance = ground_slope(main, bodies)
+    hill = undulation(main, gradient, way, t, yaw)
     k = np.arange(0, t.size, LEVEL_EVERY)
     c, sn = np.cos(yaw[k]), np.sin(yaw[k])
-    rough = _rough(t[-1] - t[0])
+    rough = rough_mean(t[-1] - t[0])
     parts = []
-    for kind, axis in (
-        (s.LEVEL_ROLL, np.column_stack([-sn, c])),
-        (s.LEVEL_PITCH, np.column_stack([-c, -sn])),
+    for kind, axis, beside in (
+        (s.LEVEL_ROLL, np.column_stack([-sn, c]), 0.0),
+        (s.LEVEL_PITCH, np.column_stack([-c, -sn]), -hill[k]),
     ):
         variance = np.einsum("ni,ij,nj->n", axis, covariance, axis) + rough
-        parts.append(_part(kind, k, np.arctan(axis @ gradient), variance * k.size))
+        parts.append(_part(kind, k, np.arctan(axis @ gradient + beside), variance * k.size))
     return parts
 
 

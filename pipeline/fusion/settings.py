@@ -69,6 +69,7 @@ RADIUS_SD = 0.10  # 1: effective against stated rolling radius, and mean slip un
 GYRO_BIAS = 0.02  # rad/s, MEMS turn-on bias (about 1 °/s) when the manifest states none
 ACCEL_BIAS = 0.20  # m/s²: MEMS offset (data sheets: 20 to 60 mg, some of it calibrated away) and mounting
 SLOPE = 0.005  # rad: least standard deviation of a field's cross slope where altitudes show none along
+HILL = 0.03  # rad: slopes of hills about a field's plane
 LEAN = 0.005  # rad: of one body beside the ground it stands on, by its tyres and its load
 ROUGH = 0.02  # rad: roll and pitch of a machine on rough ground, about a second long
 ROUGH_TIME = 1.0  # s

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from fusion_samples import Sample, changed, errors, make, rms, sample
 from smts_validate.pipeline.fusion.assemble import with_honest_zero
+from smts_validate.pipeline.fusion.epochs import Epochs
 from smts_validate.pipeline.fusion.fuse import fuse
+from smts_validate.pipeline.fusion.ground import ground_slope
 from smts_validate.pipeline.fusion.known import FusionError, prepare
 from smts_validate.pipeline.fusion.motion import Motion, SteerInput
-from smts_validate.pipeline.fusion.problem import Epochs, ground_slope
 from smts_validate.pipeline.fusion.settings import FusionSettings
 from smts_validate.pipeline.twin_plan import preset
 from smts_validate.pipeline.wheels import wheel_motions

@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 from fusion_samples import changed, errors, make, rms
+from smts_validate.pipeline.fusion.epochs import Epochs
 from smts_validate.pipeline.fusion.fuse import fuse
+from smts_validate.pipeline.fusion.ground import leaning, sloping, undulation
 from smts_validate.pipeline.fusion.known import prepare
-from smts_validate.pipeline.fusion.problem import leaning, sloping
 from smts_validate.pipeline.twin_plan import TwinPlan, preset
 from smts_validate.pipeline.wheels import wheel_motions
 
@@ -82,3 +83,50 @@ def test_both_bodies_of_a_pass_due_west_start_on_the_same_turn(heading: float) -
         of = make(changed(preset("benign"), path__duration=20.0, place__heading_deg=heading), seed)
         known = prepare(of.log, wheel_motions(of.log))
         assert np.abs(known.yaw[0] - known.yaw[1]).max() < 0.3
+
+
+def test_a_machine_that_crabs_on_a_slope_says_that_its_yaw_is_in_doubt() -> None:
+    plan = across(changed(SHORT, soil__weight_pulls=True), 0.05)
+    of = make(plan, 3)
+    found = errors(fuse(of.log), of)
+    for name in ("yaw1", "yaw2"):
+        error, sd = found[name]
+        assert rms(error) > 0.3 * DEG  # tyres hold the weight's part along the ground by slip angles
+        assert rms(error / sd) < 2.0
+    flat = make(across(SHORT, 0.0), 3)
+    level = errors(fuse(flat.log), flat)
+    assert np.median(level["yaw1"][1]) < 0.25 * np.median(found["yaw1"][1])
+
+
+def hilly(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Height and slope of hills 80 m long and 2 degrees steep on a plane that rises by 1 %, m."""
+    k, height = 2.0 * math.pi / 80.0, 0.035 / (2.0 * math.pi / 80.0)
+    return 0.01 * way + height * np.sin(k * way), 0.01 + 0.035 * np.cos(k * way)
+
+
+def epochs(t: np.ndarray, way: np.ndarray, heading: float, noise: float, sd: float) -> Epochs:
+    """Positions each 0.1 s along a line, with the hills' heights."""
+    rng = np.random.default_rng(1)
+    some = slice(None, None, 5)
+    n = t[some].size
+    z = hilly(way[some])[0] + noise * rng.standard_normal(n)
+    x, y = way[some] * math.cos(heading), way[some] * math.sin(heading)
+    unknown = np.full(n, np.nan)
+    return Epochs(
+        "gps", "tractor", True, t[some], x, y, z, np.full(n, sd), np.ones(n, dtype=bool),
+        unknown, unknown, unknown, True,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_hills_along_the_path_are_seen_by_altitudes_forwards_and_backwards(direction: float) -> None:
+    t = np.arange(0.0, 80.0, 0.02)
+    way = direction * np.cumsum(np.where((t > 10.0) & (t < 70.0), 2.5, 0.0)) * 0.02
+    heading = np.full(t.size, 0.8)
+    plane = 0.01 * np.array([math.cos(0.8), math.sin(0.8)])
+    seen = undulation(epochs(t, way, 0.8, 0.02, 0.015), plane, way, t, heading)
+    inside = (t > 14.0) & (t < 66.0)  # the first and the last 10 m of way have less of a window
+    truth = hilly(way)[1] - 0.01
+    assert rms(seen[inside] - truth[inside]) < 0.25 * rms(truth[inside])
+    far = undulation(epochs(t, way, 0.8, 1.5, 1.5), plane, way, t, heading)
+    assert rms(far) < 0.1 * rms(truth[inside])  # a metre-level receiver sees no hills, and says none
