@@ -305,7 +305,8 @@ def identify_to_folder(
             f"--manifest: {len(manifests)} for {len(sources)} passes; give one a pass, in order"
         )
     recordings, free = [], None
-    for source, manifest in zip(sources, manifests or [None] * len(sources), strict=True):
+    given: Sequence[Path | None] = manifests or [None] * len(sources)
+    for source, manifest in zip(sources, given, strict=True):
         say(f"reading and fusing {source}")
         log = read_source(source, manifest)
         machine = machine_of(log)
