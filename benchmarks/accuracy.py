@@ -6,8 +6,8 @@ Fields (slope, heading) and faults vary with the seed: benign RTK, bad sensors, 
 Prints for each kind and for all: median and 95th percentile of the passes' RMSE (cm, degrees), the share of errors
 within 1.96 stated deviations, and the mean of (error/deviation) squared. For benign passes also by how much the
 tractor's lateral error exceeds the receiver's own error slower than 5 s (root of the difference of squares).
-With --steering instead: the best steering angle alone, of the same passes with a steering sensor and wheel-mounted
-units, with one of them and with neither.
+With --steering instead: the best steering angle, and the series that drives the replay about its mean, of the same
+passes with a steering sensor and wheel-mounted units, with one of them and with neither.
 """
 
 from __future__ import annotations
@@ -49,15 +49,13 @@ def plan_of(seed: int) -> tuple[str, TwinPlan]:
 
 
 def of_errors(log: FieldLog, of: Sample) -> dict[str, tuple[float, float, float]]:
-    """For each quantity RMSE, coverage and mean squared normalised error of a log's fusion."""
-    return {
-        name: (
-            float(np.sqrt(np.mean(e**2))),
-            float(np.mean(np.abs(e / sd) < 1.96)),
-            float(np.mean((e / sd) ** 2)),
-        )
-        for name, (e, sd) in errors(fuse(log), of).items()
-    }
+    """For each quantity the figures of a log's fusion."""
+    return {name: figures(e, sd) for name, (e, sd) in errors(fuse(log), of).items()}
+
+
+def figures(e: np.ndarray, sd: np.ndarray) -> tuple[float, float, float]:
+    """RMSE, coverage of 1.96 deviations, mean of (error/deviation) squared."""
+    return float(np.sqrt(np.mean(e**2))), float(np.mean(np.abs(e / sd) < 1.96)), float(np.mean((e / sd) ** 2))
 
 
 def without(log: FieldLog, *kinds: str) -> FieldLog:
@@ -67,12 +65,22 @@ def without(log: FieldLog, *kinds: str) -> FieldLog:
     return replace(log, manifest=log.manifest.model_copy(update={"sensors": sensors}), streams=streams)
 
 
+def steered(log: FieldLog, of: Sample) -> dict[str, tuple[float, float, float]]:
+    """The best steering angle, and the series that drives the replay about its mean (its zero is a parameter there)."""
+    motion = fuse(log)
+    found = {"steer": figures(*errors(motion, of)["steer"])}
+    given = motion.steer_input
+    if given is not None:
+        use = (motion.t > of.truth[0, 0] + 2.0) & (motion.t < of.truth[-1, 0] - 2.0)
+        e = (given.angle - np.interp(motion.t, of.truth[:, 0], of.truth[:, 8]))[use]
+        found["input"] = figures(e - e.mean(), np.hypot(given.sd, given.scale_sd * given.angle)[use])
+    return found
+
+
 def steering(seed: int) -> dict[str, dict[str, tuple[float, float, float]]]:
-    """The steering angle of a pass with a steering sensor, by the sensors that are left to the fusion."""
+    """The steering of a pass with a steering sensor, by the sensors that are left to the fusion."""
     of = make(changed(plan_of(seed)[1], sensors={"steer": dict(STEER_SENSOR)}), 1000 + seed)
-    return {
-        title: {"steer": of_errors(without(of.log, *kinds), of)["steer"]} for title, kinds in STEERED.items()
-    }
+    return {title: steered(without(of.log, *kinds), of) for title, kinds in STEERED.items()}
 
 
 def one(seed: int) -> tuple[str, dict[str, tuple[float, float, float]], float]:
@@ -107,9 +115,9 @@ if __name__ == "__main__":
     chosen = parser.parse_args()
     if chosen.steering:
         with ProcessPoolExecutor(chosen.workers) as pool:
-            steered = list(pool.map(steering, range(chosen.passes)))
+            found = list(pool.map(steering, range(chosen.passes)))
         for title in STEERED:
-            table(title, [row[title] for row in steered])
+            table(title, [row[title] for row in found])
         sys.exit()
     with ProcessPoolExecutor(chosen.workers) as pool:
         results = list(pool.map(one, range(chosen.passes)))
