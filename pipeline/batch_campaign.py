@@ -59,7 +59,8 @@ def stored_row(folder: Path) -> Row:
     from ..sensors.manifest import read
 
     manifest, _ = read(folder / "run.toml")
-    return row(manifest, json.loads((folder / "metrics.json").read_text(encoding="utf-8")))
+    metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    return row(manifest.dated(metrics.get("provenance", {}).get("date")), metrics)
 
 
 def json_text(document: Mapping[str, Any]) -> str:

@@ -84,6 +84,7 @@ def read_record(folder: Path) -> PassRecord:
     try:
         metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
         manifest, _ = manifests.read(folder / "run.toml")
+        manifest = manifest.dated(metrics.get("provenance", {}).get("date"))
         path = folder / "comparison.parquet"
         columns = _columns(path) if path.is_file() else {}
         plots = folder / "plots.parquet"

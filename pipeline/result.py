@@ -146,10 +146,12 @@ def _view(out: Path) -> PassView:
     text = (out / MANIFEST).read_text(encoding="utf-8")
     trajectory, metadata = tables.read_columns(out / TRAJECTORY)
     simulation, _ = tables.read_columns(out / SIMULATION)
+    metrics = json.loads((out / METRICS).read_text(encoding="utf-8"))
+    manifest = manifests.parse(text, str(out / MANIFEST))
     return PassView(
-        manifest=manifests.parse(text, str(out / MANIFEST)),
+        manifest=manifest.dated(metrics.get("provenance", {}).get("date")),
         manifest_text=text,
-        metrics=json.loads((out / METRICS).read_text(encoding="utf-8")),
+        metrics=metrics,
         trajectory=trajectory,
         simulation=simulation,
         comparison=tables.read_columns(out / COMPARISON)[0] if (out / COMPARISON).is_file() else {},

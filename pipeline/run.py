@@ -77,6 +77,7 @@ def provenance(log: FieldLog, settings: RunSettings) -> dict[str, Any]:
         "source": Path(log.source).name,
         "command": f"smts-validate run {Path(log.source).name}",
         "source_sha256": log.sha256,
+        "date": log.manifest.run.date.isoformat(),
         "manifest_sha256": hashlib.sha256(log.manifest_text.encode()).hexdigest(),
         "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
         "options": asdict(settings),

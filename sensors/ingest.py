@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -15,13 +16,14 @@ from .checks import rows_of
 from .clocks import ClockError, HostToUtc, SampleTimes
 from .formats import FORMATS
 from .health import health_of, hint_warnings
-from .manifest import Machine, Manifest, Sensor, Speed
+from .manifest import UNDATED, Machine, Manifest, Sensor, Speed
 from .raw import Floats, Ints, Raw, RawError, RawGnss, RawImu, RawSpeed, RawSteer
 from .streams import FieldLog, GnssStream, ImuStream, SpeedStream, SteerStream, Stream, Warn, WheelStream
 from .tables import read_head
 from .utc import steady_epochs, utc_map
 
 MANIFEST = "run.toml"
+YEAR_1980 = 315_532_800.0  # s since the epoch: before it there was no GPS
 
 
 class IngestError(ValueError):
@@ -37,7 +39,7 @@ def read_pass(folder: Path) -> FieldLog:
     try:
         paths = {name: source_path(folder, name, sensor) for name, sensor in run.sensors.items()}
         raws = {name: _read(paths[name], run.sensors[name], name, run) for name in paths}
-        return _assemble(run, text, folder, paths, raws)
+        return _assemble(_dated(run, paths, raws), text, folder, paths, raws)
     except RawError as error:
         raise IngestError(f"{folder.name}/{error}") from None
 
@@ -66,6 +68,33 @@ def _read(path: Path, sensor: Sensor, name: str, run: Manifest) -> Raw:
             raw: Raw = candidate.read(path, sensor, name, run.run.date)
             return raw
     raise RawError(f"{path.name}: no known format for a sensor of this kind; see docs/formats.md")
+
+
+def _dated(run: Manifest, paths: Mapping[str, Path], raws: dict[str, Raw]) -> Manifest:
+    """The manifest with the day that a receiver tells, where run.toml has none.
+
+    Receivers that tell none themselves are read again with it. Raises RawError : none tells one.
+    """
+    if run.run.date != UNDATED:
+        return run
+    days = {name: _first_day(raw) for name, raw in raws.items() if isinstance(raw, RawGnss)}
+    known = [day for day in days.values() if day > UNDATED]
+    if not known:
+        raise RawError(
+            f"{MANIFEST}: run.date is missing, and {paths[next(iter(days))].name} tells no date (NMEA: in RMC "
+            "or ZDA); enter date = YYYY-MM-DD, the UTC day of the pass's start"
+        )
+    run = run.dated(known[0])
+    for name in (name for name, day in days.items() if day == UNDATED):
+        raws[name] = _read(paths[name], run.sensors[name], name, run)
+    return run
+
+
+def _first_day(raw: RawGnss) -> dt.date:
+    """UTC day of a receiver's first position; UNDATED where it only tells the time of day."""
+    placed = raw.utc[np.isfinite(raw.values["lat"])]
+    first = float(placed[0]) if placed.size else 0.0
+    return dt.datetime.fromtimestamp(first, dt.UTC).date() if first > YEAR_1980 else UNDATED
 
 
 def _assemble(

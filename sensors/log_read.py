@@ -7,6 +7,7 @@ name their `topic`; its samples are then put in order of their stamps, and what 
 from __future__ import annotations
 
 import dataclasses
+import datetime as dt
 import difflib
 import hashlib
 import json
@@ -34,12 +35,13 @@ from .log_collect import (
 )
 from .log_streams import STEERING, checks_of, gnss_stream, imu_stream, in_order, speed_stream, steer_stream
 from .log_topics import GNSS_EXTRAS, LIBRARY
-from .manifest import Manifest, ManifestError, parse
+from .manifest import UNDATED, Manifest, ManifestError, parse
 from .mcap_records import McapError, one_line
 from .mcap_scan import Fault, Recording, open_recording
 from .rosbag2 import files_of
 from .streams import (
     FieldLog,
+    GnssStream,
     ImuStream,
     Stream,
     StreamError,
@@ -82,9 +84,17 @@ def streams_of(path: Path, recordings: Sequence[Recording], given: tuple[Manifes
             raise LogError(_missing(path, name, next(iter(places.values())), recordings) + _because(faults))
         elif given is not None:
             warnings.append(Warn(f"sensor {name} is not in the log", "passed over", sensor=name))
+    manifest = manifest.dated(_first_day(streams))
     before = tuple(Warn(**each) for each in told.get("warnings", ()))
     log = FieldLog(manifest, text, streams, (*before, *warnings), {}, str(path), _digest(recordings))
     return dataclasses.replace(log, health=_health(log, told.get("health", {}), bool(warnings)))
+
+
+def _first_day(streams: Mapping[str, Stream]) -> dt.date:
+    """UTC day of the first position, or of the first sample where there is none."""
+    placed = [s.t[np.isfinite(s.lat)] for s in streams.values() if isinstance(s, GnssStream)]
+    starts = [t[0] for t in (*placed, *(s.t for s in streams.values())) if t.size]
+    return dt.datetime.fromtimestamp(float(starts[0]), dt.UTC).date() if starts else UNDATED
 
 
 def _health(log: FieldLog, told: dict[str, Any], changed: bool) -> dict[str, Any]:

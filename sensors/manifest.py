@@ -27,6 +27,7 @@ GRAVITY = 9.80665  # m/s², standard gravity
 MAX_BYTES = 2**20  # of a run.toml
 MAX_SENSORS = 256
 MOST_DOTS = 64  # in one key
+UNDATED = dt.date(1970, 1, 1)  # of a run.toml without date, until the recordings tell it
 
 
 def _a_number(value: Any) -> Any:
@@ -56,14 +57,14 @@ class Table(BaseModel):
 
 
 class Run(Table):
-    """Which pass this is."""
+    """Which pass this is. date : UTC day of its start; UNDATED: the recordings tell it."""
 
     id: RunId
     field: str = ""
     direction: str = ""
     repeat: int = 1
     variant: str = ""
-    date: dt.date
+    date: dt.date = UNDATED
 
     @field_validator("id")
     @classmethod
@@ -134,7 +135,10 @@ class Seeder(Table):
     @model_validator(mode="after")
     def _axles_agree(self) -> Seeder:
         if len(self.axles) == 0 or len(self.axles) != len(self.tracks):
-            raise ValueError("com_to_axle and track must list the same number of axles, at least one")
+            raise ValueError(
+                "com_to_axle and track must list the same number of axles, at least one "
+                f"(they list {len(self.axles)} and {len(self.tracks)})"
+            )
         return self
 
     @property
@@ -144,9 +148,8 @@ class Seeder(Table):
 
     @property
     def tracks(self) -> tuple[float, ...]:
-        """Each axle's track, m."""
-        track = self.track if isinstance(self.track, tuple) else (self.track,)
-        return track * len(self.axles) if len(track) == 1 else track
+        """Each axle's track, m; a single number serves all axles, a list has one for each."""
+        return self.track if isinstance(self.track, tuple) else (self.track,) * len(self.axles)
 
 
 class Tyre(Table):
@@ -361,9 +364,16 @@ class Manifest(Table):
             getattr(s, "body", "") == "seeder" for s in self.sensors.values()
         ):
             raise ValueError("a sensor sits on the seeder but there is no [machine.seeder]")
-        if not any(s.kind == "gps" for s in self.sensors.values()):
-            raise ValueError('a pass needs a sensor of kind "gps"')
+        if not any(s.kind == "gps" and s.body == "tractor" for s in self.sensors.values()):
+            raise ValueError('a pass needs a receiver on the tractor: kind = "gps", body = "tractor"')
         return self
+
+    def dated(self, day: dt.date | str | None) -> Manifest:
+        """The same pass, of that day (a date, or as ISO 8601 has it) where its run.toml has none."""
+        if self.run.date != UNDATED or day is None:
+            return self
+        date = dt.date.fromisoformat(day) if isinstance(day, str) else day
+        return self.model_copy(update={"run": self.run.model_copy(update={"date": date})})
 
     def of_kind(self, kind: str) -> dict[str, Any]:
         """Sensors of one kind, by name, in the manifest's order."""

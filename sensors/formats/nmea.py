@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..decimals import Bools, Floats, Ints
-from ..manifest import Gps, Sensor
+from ..manifest import UNDATED, Gps, Sensor
 from ..raw import RawError, RawGnss
 from ..sentences import BAD_FIELD, NO_TIME, OUT_OF_RANGE, REASONS, Refusals, Sentences, scan
 from ..streams import GnssStream, Warn
@@ -19,9 +19,9 @@ DAY = 86400.0
 HALF_DAY = 43200.0
 KNOT = 1852.0 / 3600.0
 KMH = 1.0 / 3.6
-KINDS = ("GGA", "RMC", "VTG", "GST", "HDT", "THS", "PANDA", "PAOGI")
-GGA, RMC, VTG, GST, HDT, THS, PANDA, PAOGI = range(8)
-TIMED = (GGA, RMC, GST, PANDA, PAOGI)
+KINDS = ("GGA", "RMC", "VTG", "GST", "HDT", "THS", "PANDA", "PAOGI", "ZDA")
+GGA, RMC, VTG, GST, HDT, THS, PANDA, PAOGI, ZDA = range(9)
+TIMED = (GGA, RMC, GST, PANDA, PAOGI, ZDA)
 PLACED = (GGA, RMC, PANDA, PAOGI)
 TICKS = 1.0e3  # epochs are told apart to a millisecond
 MOST_LINES = 10_000_000  # two days of five sentences ten times a second
@@ -40,7 +40,7 @@ def reads(sensor: Sensor, path: Path, head: bytes) -> bool:
 def read(path: Path, sensor: Sensor, name: str, date: dt.date) -> RawGnss:
     """The epochs of a receiver's log; lines that cannot be used are counted and kept with the reason.
 
-    date : UTC date of the first sentence, for logs without RMC
+    date : UTC date of the first sentence, for logs without RMC and ZDA; UNDATED: such logs keep that day
 
     Raises RawError : no epoch has a position.
     """
@@ -62,7 +62,8 @@ def parse(text: bytes, file: str, name: str, date: dt.date) -> RawGnss:
         counts = ", ".join(f"{count} {reason}" for reason, count in refused.counts().items())
         raise RawError(f"{file}: no usable GGA or RMC sentence{f' ({counts})' if counts else ''}")
     utc, warnings = _utc(fields, sentences, date, file, name)
-    gnss = _epochs(fields, sentences, utc)
+    placed = sentences.kind != ZDA  # which tells the day and nothing else
+    gnss = _epochs(fields.of(placed), sentences.of(placed), utc[placed])
     warnings += _refusal_warnings(refused, file, name) + _altitude_warnings(fields, sentences, file, name)
     return RawGnss(
         gnss.utc,
@@ -82,9 +83,14 @@ class Fields:
     """What the sentences say, SI units, one value a sentence, NaN where its kind does not say it."""
 
     time_of_day: Floats
-    day: Floats  # of RMC, days since the epoch
+    day: Floats  # of RMC and ZDA, days since the epoch
     values: dict[str, Floats]
     geoid_missing: Bools
+
+    def of(self, chosen: Bools) -> Fields:
+        """Of the chosen sentences."""
+        values = {key: value[chosen] for key, value in self.values.items()}
+        return Fields(self.time_of_day[chosen], self.day[chosen], values, self.geoid_missing[chosen])
 
 
 def _understood(sentences: Sentences, refused: Refusals) -> tuple[Fields, Sentences, Refusals]:
@@ -92,9 +98,7 @@ def _understood(sentences: Sentences, refused: Refusals) -> tuple[Fields, Senten
     fields, reason = _fields(sentences)
     good, bad = reason < 0, reason >= 0
     refused = refused.with_more(sentences.row[bad], reason[bad], sentences.dollar[bad])
-    values = {key: value[good] for key, value in fields.values.items()}
-    kept = Fields(fields.time_of_day[good], fields.day[good], values, fields.geoid_missing[good])
-    return kept, sentences.of(good), refused
+    return fields.of(good), sentences.of(good), refused
 
 
 def _fields(sentences: Sentences) -> tuple[Fields, Ints]:
@@ -265,6 +269,11 @@ def _paogi(part: _Part) -> dict[str, Floats]:
     return _panda(part) | {"heading": _to_yaw(part.number(12, -360.0, 360.0))}
 
 
+def _zda(part: _Part) -> dict[str, Floats]:
+    day, month, year = part.number(2, 1.0, 31.0), part.number(3, 1.0, 12.0), part.number(4, 1980.0, 2079.0)
+    return {"time_of_day": part.time_of_day(), "day": _day(1.0e4 * day + 1.0e2 * month + year % 100.0)}
+
+
 _READERS = {
     GGA: _gga,
     RMC: _rmc,
@@ -274,6 +283,7 @@ _READERS = {
     THS: _ths,
     PANDA: _panda,
     PAOGI: _paogi,
+    ZDA: _zda,
 }
 
 
@@ -288,7 +298,9 @@ def _utc(
     timed = np.flatnonzero(np.isin(sentences.kind, TIMED))
     time_of_day = fields.time_of_day[timed]
     days = _midnights(time_of_day, np.isfinite(fields.values["lat"][timed]))
-    first_day, warnings = _first_day(fields.day[timed] - days, date, file, name)
+    stated, by_rmc = fields.day[timed] - days, sentences.kind[timed] == RMC
+    stated = stated[~np.isnan(stated) & (by_rmc | ~np.isfinite(fields.day[timed][by_rmc]).any())]
+    first_day, warnings = _first_day(stated, date, file, name)
     leap = time_of_day >= DAY
     since_leap = np.maximum.accumulate(leap) & ~leap & (days > days[np.argmax(leap)])
     if leap.any():
@@ -317,14 +329,16 @@ def _midnights(time_of_day: Floats, fixed: Bools) -> Ints:
 
 
 def _first_day(stated: Floats, date: dt.date, file: str, name: str) -> tuple[float, list[Warn]]:
-    """Day of the log's start: RMC's, or run.toml's where there is none or RMC's weeks rolled over."""
+    """Day of the log's start: the receiver's, or run.toml's where it tells none or its weeks rolled over.
+
+    stated : days since the epoch by each RMC, or by each ZDA where no RMC tells one
+    """
     given = float((date - dt.date(1970, 1, 1)).days)
-    stated = stated[~np.isnan(stated)]
     if stated.size == 0:
         return given, []
     first = float(np.median(stated))
     off = first - given
-    if off == 0.0:
+    if off == 0.0 or date == UNDATED:
         return first, []
     weeks = round(off / WEEK_ROLLOVER) * WEEK_ROLLOVER
     if weeks and abs(off - weeks) <= 1.0:

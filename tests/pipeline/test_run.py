@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,9 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from smts_validate.pipeline.batch_campaign import stored_row
+from smts_validate.pipeline.campaign import read_record
+from smts_validate.pipeline.result import read_result
 from smts_validate.pipeline.run import compute, run_to_folder
 from smts_validate.pipeline.source import SourceError, ingest_pass, read_source
 from smts_validate.sensors.geodesy import to_enu
@@ -145,6 +149,18 @@ def test_provenance_names_inputs_versions_and_options_and_nothing_that_changes(o
     assert {"python", "numpy", "smts-validate"} <= set(provenance["versions"])
     assert str(Path.home()) not in json.dumps(provenance)
     assert "field1" in provenance["source"]
+
+
+def test_a_result_keeps_the_day_that_its_run_toml_does_not_tell(out: Path, tmp_path: Path) -> None:
+    told = read_result(out).manifest.run.date
+    folder = shutil.copytree(out, tmp_path / "undated")
+    lines = (folder / "run.toml").read_text(encoding="utf-8").splitlines(keepends=True)
+    kept = [line for line in lines if not line.startswith("date")]
+    assert len(kept) == len(lines) - 1
+    (folder / "run.toml").write_text("".join(kept), encoding="utf-8")
+    assert read_result(folder).manifest.run.date == told
+    assert read_record(folder).manifest.run.date == told
+    assert stored_row(folder)["date"] == told.isoformat()
 
 
 def test_a_path_that_is_not_there_is_named(tmp_path: Path) -> None:

@@ -66,7 +66,9 @@ def test_tandem_axles_need_a_track_each_or_one_for_all() -> None:
     seeder = manifest.parse(tandem).machine.seeder
     assert seeder is not None
     assert seeder.tracks == (3.6, 3.6)
-    assert "same number of axles" in complaint("track = 3.60\ncog", "track = [1.0, 2.0, 3.0]\ncog", tandem)
+    for tracks, count in (("[1.0, 2.0, 3.0]", 3), ("[3.6]", 1)):
+        told = complaint("track = 3.60\ncog", f"track = {tracks}\ncog", tandem)
+        assert f"same number of axles, at least one (they list 2 and {count})" in told
 
 
 @pytest.mark.parametrize(
@@ -86,6 +88,7 @@ def test_tandem_axles_need_a_track_each_or_one_for_all() -> None:
         ('wheel = "front_right"', 'wheel = "fr"', "sensors.wds1.wheel:"),
         ('kind = "gps"', 'kind = "gsp"', 'needs kind = "imd", "wds", "steer", "speed" or "gps"'),
         ('file = "imd2.csv"', 'file = "imd1.csv"', "sensors.imd1 and sensors.imd2 both read 'imd1.csv'"),
+        ('kind = "gps"\n', 'kind = "gps"\nbody = "seeder"\n', "needs a receiver on the tractor"),
         ('file = "imd2.csv"', "", "needs either `file` or `topic`"),
         ('body = "seeder"', 'body = "tractor"', 'at least one IMD with body = "seeder"'),
         ('id = "field1-b-east-1"', 'id = "../etc"', "run.id"),
