@@ -41,6 +41,7 @@ IMU_LEAST_LATENCY = (
     1.0e-3  # s: the smallest credible delay from sampling to arrival; it cannot be seen in the clocks
 )
 STEP_WINDOW = 15.0  # s: a latency burst ends sooner, a reset or a clock jump lasts
+STALL = 5.0  # s: so long rows may be late at the start or the end of a recording without a jump
 DEVICE_STEP = 0.1  # s: smaller changes of offset are latency
 GNSS_STEP = 0.25  # s
 NEIGHBOURS = 1.0  # s: a counter that advances less than this between rows has not been reset
@@ -105,11 +106,12 @@ def unwrap(counter: Ints, span: int, elapsed: Floats) -> Ints:
     return np.asarray(counter + span * np.rint((elapsed - advance) / span).astype(np.int64), dtype=np.int64)
 
 
-def find_steps(offset: Floats, window: int, threshold: float) -> list[tuple[int, float]]:
+def find_steps(offset: Floats, window: int, threshold: float, stall: int = 0) -> list[tuple[int, float]]:
     """Lasting changes of a one-sided offset: (index of the first sample after it, size).
 
     The least offset of the `window` samples before is held against that of the `window` samples from there
-    on: latency comes and goes, a reset or a jump of a clock stays.
+    on: latency comes and goes, a reset or a jump of a clock stays. Up to `stall` late samples at either end
+    are latency too, for nothing there shows whether it would have gone.
     """
     n = offset.size
     offset = median_filter(offset, 7, mode="nearest")  # a few broken stamps are no step
@@ -120,7 +122,8 @@ def find_steps(offset: Floats, window: int, threshold: float) -> list[tuple[int,
     rows = np.arange(1, n)
     change = np.zeros(n)
     change[1:] = least[rows + width + half] - least[rows + width - 1 - half]
-    return _edges(change, threshold)
+    steps = _edges(change, threshold)
+    return [(row, size) for row, size in steps if (n - row if size > 0.0 else row) > stall]
 
 
 def _edges(change: Floats, threshold: float) -> list[tuple[int, float]]:
@@ -197,12 +200,12 @@ def sample_times(
     huge = [(int(i) + 1, float(short[i])) for i in np.flatnonzero(near & (np.abs(short) > HUGE_STEP))]
     bounds = np.concatenate([[0], resets, [host.size]])
     segments = [slice(int(a), int(b)) for a, b in pairwise(bounds)]
-    window = round(STEP_WINDOW * rate)
+    window, stall = round(STEP_WINDOW * rate), round(STALL * rate)
     steady, jumps = without_jumps(host, huge), []
     for part in segments:
         device = _continuous_device(counter[part], tick, span, steady[part])
         rows = [row - part.start for row, _ in huge if part.start <= row < part.stop]
-        rows += [row for row, _ in find_steps(steady[part] - device, window, DEVICE_STEP)]
+        rows += [row for row, _ in find_steps(steady[part] - device, window, DEVICE_STEP, stall)]
         sizes = _jump_sizes(host[part] - device, device, sorted(set(rows)), window)
         jumps += [(part.start + row, size) for row, size in sizes]
     steady = without_jumps(host, jumps)
@@ -387,7 +390,7 @@ def steady_host(host: Floats, utc: Floats, rate: float) -> tuple[Floats, list[tu
     """The host's times of GNSS epochs with lasting jumps of that clock taken out, and the jumps."""
     window = max(MIN_EPOCHS, round(STEP_WINDOW * rate))
     offset = host - utc
-    rows = [row for row, _ in find_steps(offset, window, GNSS_STEP)]
+    rows = [row for row, _ in find_steps(offset, window, GNSS_STEP, round(STALL * rate))]
     jumps = _jump_sizes(offset, utc, rows, window)
     return without_jumps(host, jumps), jumps
 

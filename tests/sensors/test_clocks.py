@@ -160,6 +160,32 @@ def test_a_stalled_logger_shifts_nothing() -> None:
     assert np.abs(error).max() < 1.0e-4
 
 
+@pytest.mark.parametrize(("rows", "late"), [(22, 0.22), (16, 0.16), (450, 1.5)])
+@pytest.mark.parametrize("at_the_end", [True, False])
+def test_a_stall_at_either_end_is_no_jump(rows: int, late: float, at_the_end: bool) -> None:
+    unit = a_unit(seed=31)
+    unit.host[slice(-rows, None) if at_the_end else slice(rows)] += late
+    times, error = error_of(unit)
+    assert times.host_jumps == ()
+    assert np.abs(error).max() < 1.0e-4
+
+
+@pytest.mark.parametrize(("row", "size"), [(5400, 0.5), (5400, -0.5), (600, 0.5), (600, -0.5), (5950, -0.5)])
+def test_a_jump_near_an_end_is_still_one(row: int, size: float) -> None:
+    unit = a_unit(seed=32)
+    unit.host[row:] += size
+    times, error = error_of(unit)
+    assert [at for at, _ in times.host_jumps] == [row]
+    assert np.abs(error).max() < 2.0e-3
+
+
+def test_a_receivers_late_last_epochs_are_no_jump() -> None:
+    utc = np.arange(0.0, 60.0, 0.1)
+    host = utc + 0.1
+    host[-30:] += 0.4
+    assert clocks.steady_host(host, utc, 10.0)[1] == []
+
+
 def test_without_a_counter_the_hosts_time_is_the_time() -> None:
     unit = a_unit(seed=9)
     host = np.sort(unit.host)
