@@ -30,8 +30,7 @@ from .identify_report import write_report
 from .identify_wishes import Asked, Wish, wishes
 from .replay_settings import ReplaySettings
 from .result import dump_json
-from .run import machine_of
-from .source import read_source
+from .source import machine_of, read_source
 
 Say = Callable[[str], None]
 

@@ -24,7 +24,7 @@ from .fusion.fuse import fuse
 from .grid import slices, stacked_simulated
 from .replay import Drive, Window, drive_of, initial_states, run_windows
 from .replay_settings import ReplaySettings
-from .run import machine_of
+from .source import machine_of
 from .twin import make_pass, write_raw
 from .twin_plan import TwinPlan
 from .uncertainty import SCALE_STEP

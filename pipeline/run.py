@@ -10,7 +10,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from ..model.machine import Machine
 from ..sensors.streams import FieldLog
 from . import findings
 from .adequacy import judge_pass
@@ -20,7 +19,7 @@ from .garbage import seldom_collected
 from .report import finish, sections_of, write_figures
 from .result import FIGURES, PassResult, read_result, write_result
 from .run_settings import RunSettings, with_engine
-from .source import read_source
+from .source import machine_of, read_source
 from .spectra import spectra_of
 
 Say = Callable[[str], None]
@@ -36,11 +35,10 @@ def run_pass(log: FieldLog, settings: RunSettings = RunSettings(), say: Say = si
 
     Raises the stages' own errors, each one line: what, where, how to mend.
     """
-    manifest = log.manifest
+    manifest, machine = log.manifest, machine_of(log)  # first: it may be refused
     say("fusing the sensors")
     motion = fuse(log, settings.fusion)
     say("replaying the model")
-    machine = machine_of(log)
     comparison = compare(motion, machine, manifest, settings.replay)
     spectra = spectra_of(motion, comparison, machine)
     left_out = [row.reason for row in comparison.excluded] + [one.reason for one in comparison.passed_over]
@@ -64,11 +62,6 @@ def run_pass(log: FieldLog, settings: RunSettings = RunSettings(), say: Say = si
             provenance=provenance(log, settings),
         ),
     )
-
-
-def machine_of(log: FieldLog) -> Machine:
-    """The pass's machine, at the pass's tyre pressure."""
-    return Machine.from_mapping(log.manifest.machine.model_dump(), log.manifest.operating.tyre_pressure_mpa)
 
 
 def provenance(log: FieldLog, settings: RunSettings) -> dict[str, Any]:

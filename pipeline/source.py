@@ -6,14 +6,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from ..model.machine import Machine, MachineError
 from ..sensors.draft import draft_manifest
 from ..sensors.ingest import read_pass
 from ..sensors.log import read_log, write_log
+from ..sensors.manifest_errors import line_of
 from ..sensors.streams import FieldLog
 
 
 class SourceError(ValueError):
-    """A path that holds neither a raw pass nor a log."""
+    """A path that holds neither a raw pass nor a log, or one of a machine that cannot be."""
 
 
 def read_source(source: Path, manifest: Path | None = None) -> FieldLog:
@@ -23,6 +25,22 @@ def read_source(source: Path, manifest: Path | None = None) -> FieldLog:
     if source.is_dir() and manifest is None and not _recording(source):
         return read_pass(with_manifest(source))
     return read_log(source, manifest)
+
+
+def machine_of(log: FieldLog) -> Machine:
+    """The pass's machine, at the pass's tyre pressure.
+
+    Raises SourceError, with the manifest's place and key, for a geometry that leaves a wheel without load.
+    """
+    manifest = log.manifest
+    try:
+        return Machine.from_mapping(manifest.machine.model_dump(), manifest.operating.tyre_pressure_mpa)
+    except MachineError as error:
+        key = f"machine.{str(error).split()[0]}"
+        line = line_of(log.manifest_text, key.split("."))
+        inside = Path(log.source) / "run.toml"
+        where = str(inside) if inside.is_file() else f"{log.source}, its run.toml"
+        raise SourceError(f"{where}{f', line {line}' if line else ''}: machine.{error}") from None
 
 
 def _recording(folder: Path) -> bool:
@@ -60,6 +78,7 @@ def ingest_pass(folder: Path, logs: Path) -> dict[str, Any]:
     if not folder.is_dir():
         raise SourceError(f"{folder}: is not a folder; a raw pass is a folder with a run.toml")
     log = read_pass(with_manifest(folder))
+    machine_of(log)  # before a log is made that no run would take
     path = logs / f"{log.manifest.run.id}.mcap"
     logs.mkdir(parents=True, exist_ok=True)
     write_log(path, log)

@@ -24,7 +24,7 @@ def told(error: ValidationError, text: str, tables: Tables) -> str:
     order = {"extra_forbidden": 0, "missing": 2}
     first = min(found, key=lambda one: order.get(one["type"], 1))
     place = _place(first["loc"])
-    line = _line_of(text, place)
+    line = line_of(text, place)
     more = f" ({len(found) - 1} more)" if len(found) > 1 and first["type"] != "extra_forbidden" else ""
     at = f", line {line}" if line else ""
     return f"{at}: {'.'.join(place)}{': ' if place else ''}{_complaint(dict(first), place, tables)}{more}"
@@ -79,7 +79,7 @@ def _known_keys(tables: Tables) -> Iterator[tuple[str, str]]:
             yield info.alias or name, ".".join(shown)
 
 
-def _line_of(text: str, place: Sequence[str]) -> int | None:
+def line_of(text: str, place: Sequence[str]) -> int | None:
     """Line of the text where the last key of `place` stands, or its table begins; None if not found."""
     table: list[str] = []
     found = None

@@ -11,8 +11,8 @@ import pytest
 from smts_validate.pipeline.identify import Recording, identify, names_of
 from smts_validate.pipeline.identify_parameter import IdentifyError
 from smts_validate.pipeline.identify_wishes import Wish
-from smts_validate.pipeline.run import machine_of, run_pass
-from smts_validate.pipeline.source import read_source
+from smts_validate.pipeline.run import run_pass
+from smts_validate.pipeline.source import machine_of, read_source
 from smts_validate.pipeline.twin_campaign import campaign_from
 from smts_validate.sensors import manifest
 

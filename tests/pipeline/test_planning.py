@@ -20,7 +20,7 @@ from smts_validate.pipeline.grid import slices
 from smts_validate.pipeline.planning_pilots import PARAMETERS, changes, fly, information, known_parameters
 from smts_validate.pipeline.planning_report import plan_to_folder
 from smts_validate.pipeline.replay_settings import ReplaySettings
-from smts_validate.pipeline.run import machine_of
+from smts_validate.pipeline.source import machine_of
 from smts_validate.pipeline.twin import make_pass, write_raw
 from smts_validate.pipeline.twin_campaign import campaign_from
 from smts_validate.pipeline.twin_machine import MACHINE

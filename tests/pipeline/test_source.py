@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from smts_validate.pipeline.run import run_pass
+from smts_validate.pipeline.run_settings import RunSettings
 from smts_validate.pipeline.source import SourceError, ingest_pass, inspect_log, read_source
+from smts_validate.sensors.log import write_log
 from smts_validate.sensors.log_collect import LogError
+
+SAMPLE = Path(__file__).parents[2] / "data_samples" / "field1"
 
 
 @pytest.mark.parametrize(
@@ -29,3 +36,34 @@ def test_a_recordings_folder_is_not_taken_for_a_raw_pass(name: str, tmp_path: Pa
     (tmp_path / name).write_text("")
     with pytest.raises(LogError):
         read_source(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("hitch", "axle", "told"),
+    [
+        ("2.05", "-9.0", "leaves the seeder's wheels without load"),
+        ("9.0", "2.0", "leaves the tractor's front wheels without load"),
+    ],
+)
+def test_a_wheel_without_load_is_refused_with_file_line_and_key(
+    hitch: str, axle: str, told: str, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(SAMPLE, tmp_path / "field1")
+    text = (folder / "run.toml").read_text(encoding="utf-8")
+    for key, value in (("hitch", hitch), ("com_to_axle", axle)):
+        text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
+    (folder / "run.toml").write_text(text, encoding="utf-8")
+    line = 1 + text[: text.index("com_to_axle")].count("\n")
+    log = read_source(folder)
+    write_log(tmp_path / "field1.mcap", log)
+    place = rf"run\.toml, line {line}: machine\.seeder\.com_to_axle is .*{told}"
+    for refused in (
+        lambda: ingest_pass(folder, tmp_path / "logs"),
+        lambda: run_pass(log, RunSettings()),
+        lambda: run_pass(read_source(tmp_path / "field1.mcap"), RunSettings()),
+    ):
+        with pytest.raises(SourceError, match=place) as caught:
+            refused()
+        assert str(tmp_path / "field1") in str(caught.value)
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "logs").exists()
