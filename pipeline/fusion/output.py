@@ -22,7 +22,7 @@ from .state import KEPT
 Floats = NDArray[np.float64]
 
 RATE_WINDOW = 11  # nodes: yaw rates leave as slopes of the smoothed yaw over 0.2 s
-K_X, K_Y, K_YAW1, K_V, K_SLIP1, K_ROLL, K_PITCH, K_YAW2, K_BGZ, K_BGZ2, K_LAG = range(len(KEPT))
+K_X, K_Y, K_YAW1, K_V, K_SLIP1, K_ROLL, K_PITCH, K_YAW2, K_BGZ, K_BGZ2, K_LAG, K_TURN1 = range(len(KEPT))
 BLOCK = 8192  # nodes worked on at a time: an hour's covariances more than once are the peak of memory
 BODY = 6  # x, y, yaw, v, v_lateral, yaw_rate
 
@@ -74,7 +74,8 @@ def tractor_jacobian(m: Smooth, p: Floats) -> Floats:
     """d(x1, y1, yaw1, v1, v_lateral1, yaw_rate1)/d(kept state), (N, 6, kept)."""
     c, sn = np.cos(m.x[:, s.YAW1]), np.sin(m.x[:, s.YAW1])
     J = np.zeros((m.x.shape[0], BODY, len(KEPT)))
-    J[:, 0, K_X] = J[:, 1, K_Y] = J[:, 2, K_YAW1] = J[:, 3, K_V] = J[:, 4, K_SLIP1] = 1.0
+    J[:, 0, K_X] = J[:, 1, K_Y] = J[:, 2, K_YAW1] = J[:, 3, K_V] = 1.0
+    J[:, 4, K_SLIP1] = J[:, 4, K_TURN1] = 1.0
     J[:, 0, K_YAW1], J[:, 1, K_YAW1] = -p[s.P_REAR] * sn, p[s.P_REAR] * c
     J[:, 0, K_ROLL], J[:, 1, K_ROLL] = p[s.P_SWAY] * sn, -p[s.P_SWAY] * c
     J[:, 0, K_PITCH], J[:, 1, K_PITCH] = p[s.P_SWAY] * c, p[s.P_SWAY] * sn
@@ -97,8 +98,9 @@ def seeder_jacobian(m: Smooth, p: Floats) -> Floats:
     J[:, 0, K_X] = J[:, 1, K_Y] = J[:, 2, K_YAW2] = 1.0
     J[:, 0, K_YAW1], J[:, 1, K_YAW1] = d * s1, -d * c1
     J[:, 0, K_YAW2], J[:, 1, K_YAW2] = l5 * s2, -l5 * c2
-    J[:, 3, K_V], J[:, 3, K_SLIP1] = np.cos(bend), -np.sin(bend)
-    J[:, 4, K_V], J[:, 4, K_SLIP1] = np.sin(bend), np.cos(bend)
+    J[:, 3, K_V], J[:, 4, K_V] = np.cos(bend), np.sin(bend)
+    for slip in (K_SLIP1, K_TURN1):
+        J[:, 3, slip], J[:, 4, slip] = -np.sin(bend), np.cos(bend)
     J[:, 3, K_YAW1] = -m.x[:, s.V] * np.sin(bend) - across * np.cos(bend)
     J[:, 4, K_YAW1] = m.x[:, s.V] * np.cos(bend) - across * np.sin(bend)
     J[:, 3, K_YAW2], J[:, 4, K_YAW2] = -J[:, 3, K_YAW1], -J[:, 4, K_YAW1]

@@ -44,7 +44,7 @@ GY: Final = 28
 SIZE: Final = 29
 
 # Of the smoothed covariance these rows and columns are kept: all that the bodies' motion needs.
-KEPT: Final = (X, Y, YAW1, V, SLIP1, ROLL, PITCH, YAW2, BGZ, BGZ2, LAG)
+KEPT: Final = (X, Y, YAW1, V, SLIP1, ROLL, PITCH, YAW2, BGZ, BGZ2, LAG, TURN1)
 
 # Parameter vector -----------------------------------------------------------------------------------------------
 P_REAR: Final = 0  # m, rear axle behind the CoM
