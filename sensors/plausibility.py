@@ -16,6 +16,7 @@ from .formats.speed_csv import SPEED_UNITS, TURN_UNITS
 from .manifest import GRAVITY, Imd, Machine, Manifest, Speed, Wds
 from .mounting import rotation_matrix, to_body
 from .streams import Floats, GnssStream, ImuStream, SpeedStream, SteerStream, Stream
+from .turning import TO_DEGREES, TO_RADIANS, turning_ratio, unit_hints
 
 TILTED = 20.0  # deg: no slope, so a wrong mounting
 MISMATCH = 0.15  # of gravity or of a wheel's radius
@@ -50,7 +51,8 @@ def findings(manifest: Manifest, streams: Mapping[str, Stream]) -> dict[str, Fin
         sensor = manifest.sensors.get(name)
         if isinstance(stream, ImuStream) and stream.t.size > 1:
             if isinstance(sensor, Imd):
-                found[name] = _joined(_gravity(stream, sensor), _same_body(manifest, streams, name))
+                parts = (_gravity(stream, sensor), _gyro_unit(manifest, stream, sensor, streams))
+                found[name] = _joined(*parts, _same_body(manifest, streams, name))
             elif isinstance(sensor, Wds):
                 found[name] = _wheel(stream, sensor, manifest.machine, streams)
         elif isinstance(stream, SpeedStream) and isinstance(sensor, Speed) and stream.t.size > 1:
@@ -78,15 +80,13 @@ def _joined(*parts: Finding) -> Finding:
 
 def _gravity(stream: ImuStream, sensor: Imd) -> Finding:
     """Mean specific force of a unit on a body: 9.8 m/s² upward, but for slopes."""
-    force, turn = to_body(stream, sensor)
+    force, _ = to_body(stream, sensor)
     mean = force.mean(axis=0)
     size = float(np.linalg.norm(mean))
     tilt = float(np.degrees(np.arccos(np.clip(mean[2] / size, -1.0, 1.0)))) if size > 0.0 else 0.0
     hints = _unit_hints(size)
     if not hints and tilt > TILTED:
         hints = (_mounting_hint(stream.specific_force.mean(axis=0), tilt),)
-    if float(np.sqrt((turn**2).mean())) > 10.0:
-        hints = (*hints, 'rotations look like deg/s: set units = { gyro = "deg/s" }')
     return Finding({"gravity_m_s2": size, "tilt_deg": tilt}, hints)
 
 
@@ -101,6 +101,21 @@ def _unit_hints(size: float) -> tuple[str, ...]:
     if abs(size / GRAVITY - 1.0) > MISMATCH:
         return (f"mean specific force is {size:.2f} m/s², not {GRAVITY:.2f}: check units and calibration",)
     return ()
+
+
+def _gyro_unit(manifest: Manifest, stream: ImuStream, sensor: Imd, streams: Mapping[str, Stream]) -> Finding:
+    """A body's gyro against the course of the receiver on the tractor: the ratio of their turning."""
+    against = next((name for name, gps in manifest.of_kind("gps").items() if gps.body == "tractor"), "")
+    gnss = streams.get(against)
+    seeder, late = manifest.machine.seeder, 0.0
+    if sensor.body == "seeder" and seeder is not None:
+        late = (seeder.hitch_to_com + float(np.mean(seeder.axles))) / manifest.operating.speed
+    yaw_rate = to_body(stream, sensor)[1][:, 2]
+    drove, ratio = False, None
+    if isinstance(gnss, GnssStream):
+        drove, ratio = turning_ratio(stream.t, yaw_rate, gnss, late)
+    hints = unit_hints(drove, ratio, stream.angular_velocity, sensor.units.gyro == "deg/s")
+    return Finding({"turning_check": {"against": against, "ratio": ratio}}, hints)
 
 
 def best_upright(mean: Floats) -> tuple[int, int]:
@@ -186,8 +201,9 @@ def _wheel(stream: ImuStream, sensor: Wds, machine: Machine, streams: Mapping[st
     _, turn = to_body(stream, sensor)
     size = np.linalg.norm(turn, axis=1)
     turning = size > SPINNING
+    gnss = next((s for s in streams.values() if isinstance(s, GnssStream)), None)
     if np.count_nonzero(turning) < 100:
-        return Finding({"share_on_axle": None})
+        return Finding({"share_on_axle": None}, _slow_spin(stream.t, size, sensor, machine, gnss))
     share = float((turn[turning, 1] ** 2).sum() / (size[turning] ** 2).sum())
     facts: dict[str, Any] = {"share_on_axle": share}
     if share < ON_AXLE:
@@ -195,7 +211,6 @@ def _wheel(stream: ImuStream, sensor: Wds, machine: Machine, streams: Mapping[st
         about = f"{100.0 * share:.0f} % of its rotation is about the axle"
         hint = f"only {about}, most about the sensor's {'xyz'[axis]}"
         return Finding(facts, (f"{hint}: check rotation_deg",))
-    gnss = next((s for s in streams.values() if isinstance(s, GnssStream)), None)
     return _joined(Finding(facts), _rolling(stream.t, turn[:, 1], sensor, machine, gnss))
 
 
@@ -209,11 +224,27 @@ def _rolling(t: Floats, spin: Floats, sensor: Wds, machine: Machine, gnss: GnssS
     driving = (speed > DRIVING) & (np.abs(turning) > SPINNING) & (at > t[0]) & (at < t[-1])
     if np.count_nonzero(driving) < 20:
         return Finding({})
-    radius = float(np.median(speed[driving] / turning[driving]))
-    tractor = machine.tractor
-    stated = tractor.front_wheel_radius if sensor.wheel.startswith("front") else tractor.rear_wheel_radius
+    radius, stated = float(np.median(speed[driving] / turning[driving])), _radius(sensor, machine)
     part = _offset("gps", "spin", t, np.abs(spin), at, speed, OFF_GNSS)
     return _joined(Finding({"rolling_radius_m": radius}, _radius_hints(radius, stated)), part)
+
+
+def _slow_spin(
+    t: Floats, spin: Floats, sensor: Wds, machine: Machine, gnss: GnssStream | None
+) -> tuple[str, ...]:
+    """Whether a wheel that hardly turns while the machine drives does so by a factor of 180/pi."""
+    if gnss is None or np.count_nonzero(gnss.speed > DRIVING) < 20:
+        return ()
+    driving = (gnss.speed > DRIVING) & (gnss.t > t[0]) & (gnss.t < t[-1])
+    share = np.interp(gnss.t[driving], t, spin) * _radius(sensor, machine) / gnss.speed[driving]
+    fits = share.size >= 20 and abs(float(np.median(share)) * DEGREES - 1.0) < LIKENESS
+    return (TO_RADIANS,) if fits else ()
+
+
+def _radius(sensor: Wds, machine: Machine) -> float:
+    """Stated rolling radius of a sensor's wheel, m."""
+    tractor = machine.tractor
+    return tractor.front_wheel_radius if sensor.wheel.startswith("front") else tractor.rear_wheel_radius
 
 
 def _speed(stream: SpeedStream, sensor: Speed, machine: Machine, streams: Mapping[str, Stream]) -> Finding:
@@ -285,7 +316,7 @@ def _steer_hints(ratio: float) -> tuple[str, ...]:
 
 def _radius_hints(radius: float, stated: float) -> tuple[str, ...]:
     if abs(radius / stated * DEGREES - 1.0) < LIKENESS:
-        return ('rotations look like deg/s: set units = { gyro = "deg/s" }',)
+        return (TO_DEGREES,)
     if abs(abs(radius) / stated - 1.0) > MISMATCH:
         return (
             f"speed and spin imply a rolling radius of {abs(radius):.2f} m, run.toml says {stated:.2f} m",

@@ -144,21 +144,24 @@ def _offset(
     imd: Imd = run.of_kind("imd")[unit]
     turning = turned(raw.angular_velocity[times.index], mounting_matrix(imd.rotation_deg))
     utc = gnss.utc - base * 1.0e-9
-    course, speed = _over_ground(gnss)
+    course, speed = over_ground(gnss.utc, gnss.values)
     lever = (axle + sensor.position[0], sensor.position[2])
     return motion_offset(times.t, turning, utc, course, speed, lever)
 
 
-def _over_ground(gnss: RawGnss) -> tuple[Floats, Floats]:
-    """Course and speed as the receiver states them, or from its positions where it never does."""
-    course, speed = gnss.values["course"], gnss.values["speed"]
+def over_ground(utc: Floats, values: Mapping[str, Floats]) -> tuple[Floats, Floats]:
+    """Course (rad) and speed (m/s) as a receiver states them, or from its positions where it never does.
+
+    utc : (N,) s; values : `course`, `speed`, `lat`, `lon`, `alt` of `GnssStream`, (N,) each
+    """
+    course, speed = values["course"], values["speed"]
     if np.isfinite(course).sum() > 1:
         return course, speed
-    known = np.flatnonzero(np.isfinite(gnss.values["lat"]))
+    known = np.flatnonzero(np.isfinite(values["lat"]))
     east, north = np.full(course.shape, np.nan), np.full(course.shape, np.nan)
     if known.size < 3:
         return east, north
-    lat, lon, alt = (gnss.values[key][known] for key in ("lat", "lon", "alt"))
+    lat, lon, alt = (values[key][known] for key in ("lat", "lon", "alt"))
     e, n, _ = to_enu(lat, lon, alt, SimpleNamespace(lat=lat[0], lon=lon[0], alt=alt[0]))
-    east[known], north[known] = np.gradient(e, gnss.utc[known]), np.gradient(n, gnss.utc[known])
+    east[known], north[known] = np.gradient(e, utc[known]), np.gradient(n, utc[known])
     return np.arctan2(north, east), np.hypot(east, north)
