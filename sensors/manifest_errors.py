@@ -24,7 +24,7 @@ def told(error: ValidationError, text: str, tables: Tables) -> str:
     order = {"extra_forbidden": 0, "missing": 2}
     first = min(found, key=lambda one: order.get(one["type"], 1))
     place = _place(first["loc"])
-    line = line_of(text, place)
+    line = line_of(text, place[:-1] if first["type"] == "missing" else place)  # of the table that lacks it
     more = f" ({len(found) - 1} more)" if len(found) > 1 and first["type"] != "extra_forbidden" else ""
     at = f", line {line}" if line else ""
     return f"{at}: {'.'.join(place)}{': ' if place else ''}{_complaint(dict(first), place, tables)}{more}"

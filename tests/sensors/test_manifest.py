@@ -123,6 +123,27 @@ def test_the_line_is_that_of_the_right_table(old: str) -> None:
     assert f"line {line_of(old)}:" in complaint(old, f"{key} = -1.0")
 
 
+def test_a_missing_key_is_told_with_the_line_of_its_table() -> None:
+    where = f"run.toml, line {line_of('[operating]')}: operating.speed: this key is missing"
+    assert complaint("speed = 2.5\n", "") == where
+    assert complaint("[operating]\nspeed = 2.5\ntyre_pressure_mpa = 0.12\n", "").startswith(
+        "run.toml: operating:"
+    )
+
+
+def test_what_may_be_left_out_takes_the_format_pages_defaults() -> None:
+    run = manifest.parse(WHOLE.replace("date = 2025-05-14\n", ""))
+    assert (run.run.field, run.run.direction, run.run.variant, run.run.repeat) == ("", "", "", 1)
+    assert run.run.date == manifest.UNDATED
+    assert run.line is None
+    assert run.machine.seeder is not None
+    assert run.machine.seeder.draft_angle_deg == 0.0
+    tyre = run.machine.tyres.front
+    assert (tyre.reference_pressure_mpa, tyre.pressure_exponent, tyre.relaxation_length) == (0.1, 0.5, 0.0)
+    assert run.sensors["wds1"].offset == run.sensors["wds1"].rotation_deg == (0.0, 0.0, 0.0)  # type: ignore[union-attr]
+    assert run.sensors["gps"].body == "tractor"  # type: ignore[union-attr]
+
+
 def test_further_mistakes_are_counted() -> None:
     text = WHOLE.replace("mass = 5200.0", "mass = -1.0")
     assert complaint("mass = 3300.0", "mass = -2.0", text).endswith("(1 more)")
