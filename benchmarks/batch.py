@@ -19,6 +19,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 COMMAND = [sys.executable, "-m", "smts_validate.pipeline.cli"]
+NO_PROFILER = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"
+}  # as docs/howto-cluster.md starts workers
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 CAMPAIGN = """
 seed = 1
@@ -84,6 +87,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="length of a pass")
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
+    os.environ.update(ONE_THREAD | NO_PROFILER)  # before Dask is imported: it reads its settings then
     from distributed import LocalCluster
 
     with tempfile.TemporaryDirectory(prefix="smts-bench-") as name:
@@ -97,7 +101,6 @@ def main() -> None:
         report("1 process", 1, alone, alone)
         several = run(raw, folder / "several", "-j", str(asked.workers))
         report(f"{asked.workers} processes", asked.workers, several, alone)
-        os.environ.update(ONE_THREAD)
         with LocalCluster(
             n_workers=asked.workers, threads_per_worker=1, processes=True, dashboard_address=None
         ) as cluster:
