@@ -16,7 +16,6 @@ from ...sensors.manifest import GRAVITY, Machine
 from ...sensors.streams import Warn
 from ..wheels import WheelMotion, choose_steer_input
 from . import output
-from . import settings as physics
 from . import state as s
 from .consistency import assess, innovations
 from .engine_compiled import Filtered, Smoothed
@@ -24,7 +23,7 @@ from .filtering import unpack
 from .known import Known
 from .motion import Motion, SteerInput
 from .prepare import STEP
-from .problem import Problem
+from .problem import Problem, compliances
 from .settings import FusionSettings, Levels
 from .steering import Steering, best_steering
 
@@ -69,7 +68,8 @@ def assemble(
     place = output.place_doubt(
         p, ground_variance(task), float(np.median(smooth.P[:, output.K_ROLL, output.K_ROLL]))
     )
-    slide, constant = slope_crab(smooth), constant_crab(known.log.manifest.machine, levels)
+    machine = known.log.manifest.machine
+    slide, constant = slope_crab(smooth, machine), constant_crab(machine, levels)
     crab = crab_at(t + lag, known.t, slide, constant)
     tractor = output.tractor_motion(at, p, crab[0], lateral1, place)
     seeder = output.seeder_motion(at, p, crab[1], lateral2, place) if known.two is not None else None
@@ -123,18 +123,20 @@ def constant_crab(machine: Machine, levels: Levels) -> tuple[float, float]:
     return float(crab[0]), float(crab[1])
 
 
-def slope_crab(smooth: Smoothed) -> Floats:
-    """Crab (N,), rad, that tyres as soft as COMPLIANCE have under the weight's part along the ground, by the tractor's
-    roll over SLOPE_WINDOW as far as that is more than its own doubt; it turns both bodies' yaw uphill."""
+def slope_crab(smooth: Smoothed, machine: Machine) -> Floats:
+    """Crab (N, 2), rad, of both bodies that tyres as soft as `compliances` have under the weight's part along the
+    ground, by the tractor's roll over SLOPE_WINDOW as far as that is more than its own doubt; it turns both uphill."""
     roll = uniform_filter1d(smooth.x[:, s.ROLL], min(SLOPE_WINDOW, smooth.x.shape[0]), mode="nearest")
     seen = np.sqrt(np.maximum(roll**2 - smooth.P[:, output.K_ROLL, output.K_ROLL], 0.0))
-    return np.asarray(physics.COMPLIANCE * GRAVITY * np.sign(roll) * seen)
+    return np.outer(GRAVITY * np.sign(roll) * seen, compliances(machine))
 
 
 def crab_at(t: Floats, nodes: Floats, slide: Floats, constant: tuple[float, float]) -> tuple[Floats, Floats]:
     """Deviations of both bodies' crab at instants t (M,), rad, each (M, 2): constant along a row, and by the slope."""
-    by_slope = np.interp(t, nodes, slide)
-    tractor, seeder = (np.column_stack([np.full(t.size, c), by_slope]) for c in constant)
+    tractor, seeder = (
+        np.column_stack([np.full(t.size, c), np.interp(t, nodes, by_slope)])
+        for c, by_slope in zip(constant, slide.T, strict=True)
+    )
     return tractor, seeder
 
 

@@ -53,6 +53,7 @@ from .state import (
     P_BIAS_WALK,
     P_COM2,
     P_COMPLIANCE,
+    P_DRAG2,
     P_FORWARD,
     P_GYRO1,
     P_GYRO2,
@@ -70,6 +71,7 @@ from .state import (
     P_TAU_SLIP,
     P_TILT,
     P_TURN,
+    P_TURN2,
     PITCH,
     ROLL,
     SCALE1,
@@ -121,14 +123,14 @@ def fade(x: Floats, u: Floats, dt: float, p: Floats, F: Floats, out: Floats) -> 
     """Gauss-Markov components after one step, into `out`, and their factors, on the diagonal of F."""
     slip, slow = math.exp(-dt / p[P_TAU_SLIP]), math.exp(-dt / p[P_TAU_E])
     bent = p[P_SEEDER] * abs(x[YAW1] - x[YAW2]) > BEND_FROM
-    turning = bent or abs(x[V] * (u[U_WZ] - x[BGZ])) > TURN_FROM
-    bend = math.exp(-dt / TAU_TURN) if turning else slip  # the slip of a turn ends with the turn
+    turn = math.exp(-dt / TAU_TURN)
     for i in (SLIP1, SLIP2):
         F[i, i] = slip
         out[i] = slip * x[i]
-    for i in (TURN1, TURN2):
-        F[i, i] = bend
-        out[i] = bend * x[i]
+    for i, rate in ((TURN1, u[U_WZ] - x[BGZ]), (TURN2, u[U_W2] - x[BGZ2])):
+        turning = bent or abs(x[V] * rate) > TURN_FROM
+        F[i, i] = turn if turning else slip  # the slip of a turn ends with the turn
+        out[i] = F[i, i] * x[i]
     for i in (EX, EY, FX, FY, GX, GY):
         F[i, i] = slow
         out[i] = slow * x[i]
@@ -197,19 +199,28 @@ PATTERN = np.array(
 
 
 @njit(cache=True, error_model="numpy")
+def beyond(value: float, least: float) -> float:
+    """Size of a value that counts from `least` on, and wholly when it is far beyond."""
+    size = abs(value)
+    return size - least * least / size if size > least else 0.0
+
+
+@njit(cache=True, error_model="numpy")
 def process_noise(x: Floats, u: Floats, dt: float, p: Floats, q: Floats) -> None:
     """Variances added by one step, into q (SIZE,): Gauss-Markov drives, gyro and accelerometer noise, holes."""
     q[:] = 0.0
     speed = max(abs(x[V]), SLOWEST)
-    lateral = abs(x[V] * (u[U_WZ] - x[BGZ]))
+    lateral, lateral2 = abs(x[V] * (u[U_WZ] - x[BGZ])), abs(x[V] * (u[U_W2] - x[BGZ2]))
     swing = 1.0 - math.exp(-2.0 * dt / p[P_TAU_SLIP])
     slow = 1.0 - math.exp(-2.0 * dt / p[P_TAU_E])
     q[SLIP1] = (p[P_BETA1] + p[P_COMPLIANCE] * lateral) ** 2 * speed**2 * swing
     q[SLIP2] = p[P_SEEDER] * (p[P_BETA2] + p[P_COMPLIANCE] * lateral) ** 2 * speed**2 * swing
-    hard = max(lateral - TURN_FROM, 0.0)
-    bent = DRAG * max(abs(x[YAW1] - x[YAW2]) - BEND_FROM, 0.0) * p[P_SEEDER]
-    q[TURN1] = ((p[P_TURN] * hard + bent) * speed) ** 2 * (1.0 - math.exp(-2.0 * dt / TAU_TURN))
-    q[TURN2] = p[P_SEEDER] * (p[P_TURN] * hard * speed) ** 2 * (1.0 - math.exp(-2.0 * dt / TAU_TURN))
+    bent = beyond(x[YAW1] - x[YAW2], BEND_FROM) * p[P_SEEDER]
+    hard1 = p[P_TURN] * beyond(lateral, TURN_FROM) + DRAG * bent
+    hard2 = p[P_TURN2] * beyond(lateral2, TURN_FROM) + p[P_DRAG2] * bent
+    lasting = 1.0 - math.exp(-2.0 * dt / TAU_TURN)
+    q[TURN1] = (hard1 * speed) ** 2 * lasting
+    q[TURN2] = p[P_SEEDER] * (hard2 * speed) ** 2 * lasting
     q[EX] = q[EY] = p[P_SD_E] ** 2 * slow
     q[FX] = q[FY] = p[P_SD_F] ** 2 * slow
     q[GX] = q[GY] = p[P_SD_G] ** 2 * slow

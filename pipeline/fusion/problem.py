@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from ...sensors.geodesy import to_enu
-from ...sensors.manifest import GRAVITY, Gps, Manifest, Seeder, Tractor
+from ...sensors.manifest import GRAVITY, Gps, Machine, Manifest, Seeder, Tractor
 from ...sensors.streams import FieldLog, GnssStream
 from . import settings as physics
 from . import state as s
@@ -120,6 +120,19 @@ def sway(body: Tractor | Seeder) -> float:
     return 0.0 if body.roll_centre is None else body.cog_height - body.roll_centre
 
 
+def compliances(machine: Machine) -> tuple[float, float]:
+    """Standard deviations, rad/(m/s²), of what a lateral force per mass makes the rear and the seeder's axle slip.
+
+    COMPLIANCE; the seeder's few tyres, where the manifest's mass on them over their stated stiffness is more, that.
+    """
+    seeder, tyres = machine.seeder, machine.tyres.seeder
+    if seeder is None or tyres is None:
+        return physics.COMPLIANCE, physics.COMPLIANCE
+    on_axle = seeder.mass * seeder.hitch_to_com / (seeder.hitch_to_com + float(np.mean(seeder.axles)))
+    stated = on_axle / (2.0 * len(seeder.axles) * tyres.cornering_stiffness)
+    return physics.COMPLIANCE, max(physics.COMPLIANCE, stated)
+
+
 def parameters_of(
     manifest: Manifest, epochs: Sequence[Epochs], one: BodyInputs, two: BodyInputs | None
 ) -> Floats:
@@ -138,13 +151,15 @@ def parameters_of(
     )
     p[s.P_GYRO1], p[s.P_ACCEL] = one.gyro_noise, one.accel_noise
     p[s.P_KAPPA_WALK], p[s.P_KAPPA_DRIVE] = physics.WHEEL_WALK, physics.WHEEL_DRIVE
-    p[s.P_TURN] = physics.COMPLIANCE
+    p[s.P_TURN], p[s.P_TURN2] = compliances(manifest.machine)
     p[s.P_ACTIVE] = active(epochs)
     p[s.P_BIAS_WALK], p[s.P_TILT] = physics.BIAS_WALK, 1.0
     if seeder is not None and two is not None:
         p[s.P_SEEDER], p[s.P_GYRO2] = 1.0, two.gyro_noise
         p[s.P_AXLE2] = seeder.hitch_to_com + float(np.mean(seeder.axles))
         p[s.P_COM2] = seeder.hitch_to_com
+        tools = max(physics.TOOLS, abs(p[s.P_AXLE2] - p[s.P_COM2]))
+        p[s.P_DRAG2] = physics.DRAG * tools / p[s.P_AXLE2]
         p[s.P_SWAY2] = sway(seeder)
     second = [e for e in epochs if e is not main]
     if second:

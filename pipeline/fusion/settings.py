@@ -61,6 +61,7 @@ COMPLIANCE_FAST = 0.01  # rad/(m/s²): what of it changes from second to second
 TAU_TURN = 10.0  # s: a headland turn's slip stays as long as the turn
 DRAG = 0.08  # rad/rad: draft across the tractor when it is bent, 10 kN over 2 · 90 kN/rad, times the hitch's lever
 BEND_FROM = 0.03  # rad of articulation: a row stays below
+TOOLS = 0.5  # m: the tools' middle ahead of the seeder's axle or behind it; there a turn moves them aside
 TURN_FROM = 0.15  # m/s² of lateral acceleration: a weave along a row stays below
 TAU_GNSS = 40.0  # s: multipath and residual atmosphere of a moving RTK receiver, tens of seconds
 WHEEL_WALK = 0.003  # 1/sqrt(s): wheel slip follows soil and draft, by a percent in ten seconds

@@ -72,13 +72,15 @@ P_ANT2_X: Final = 21  # m, second antenna from its body's CoM
 P_ANT2_Y: Final = 22
 P_ANT2_Z: Final = 23
 P_FORWARD: Final = 29  # m/s²/sqrt(Hz), noise of the forward acceleration
-P_TURN: Final = 28  # rad/(m/s²), slow slip angle of a turn by lateral acceleration
+P_TURN: Final = 28  # rad/(m/s²), slow slip angle of a turn by lateral acceleration, rear axle
 P_BIAS_WALK: Final = 24  # rad/s/sqrt(s), of gyro biases
 P_SEEDER: Final = 25  # 1 when there is a seeder
 P_TILT: Final = 26  # 1: antenna's sway is compensated by roll and pitch; 0 only to show what that is worth
 P_SWAY2: Final = 27  # m, seeder's CoM above its roll centre
 P_ACTIVE: Final = 30  # number of leading state components in use, ALWAYS to SIZE
-P_SIZE: Final = 31
+P_TURN2: Final = 31  # rad/(m/s²), the same at the seeder's axle
+P_DRAG2: Final = 32  # rad/rad, slow slip angle there by draft, by articulation
+P_SIZE: Final = 33
 
 # Inputs of a step from node k to k + 1 (means over the step), body axes at the rear axle -----------------------
 U_WX: Final = 0  # rad/s

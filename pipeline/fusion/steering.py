@@ -28,6 +28,7 @@ LEAST_SLIP = 0.001  # rad: of any tyre on soil
 FRONT_TIME = 1.0  # s, correlation of the front wheels' slip
 FRONT_DRAG = 0.03  # rad/rad: 10 kN of draft over 2 · 60 kN/rad, times the hitch's overhang over the wheelbase
 CRAB = 0.1  # share of the slip that stays all along a row, unseen, as for the bodies
+INTEGRATED_SCALE = physics.GYRO_SCALE * math.sqrt(2.0)  # rad/rad turned: the wheels' gyros less the body's
 WHITE = 0.0005  # rad, of a kinematic angle at one instant beside what the fusion states
 DOUBT, TIME_DOUBT = 3.0, 2.0  # factors: one standard deviation of the lognormal priors of slip and its time
 LEARNT_FROM, LEARNT_FROM_MOST = 30, 600  # samples at 2 Hz that the slip is learnt from
@@ -46,15 +47,18 @@ class Steering:
 
 @dataclass(frozen=True)
 class Errors:
-    """Model of z = given − path at 2 Hz as a sum of Gauss-Markov errors: (slow error, zero, slip, slip of a turn).
+    """Model of z = given − path at 2 Hz as a sum of Gauss-Markov errors: (slow error, zero, scale, slip, slip of a
+    turn).
 
-    decay, drive : (M, 4) of the step that ends at each sample; start : (4,) variances; white : variance
+    decay, drive : (M, 5) of the step that ends at each sample; start : (5,) variances; white : variance;
+    seen : (M, 5), by how much each is in z: the scale error of integrated gyros by the angle turned
     """
 
     decay: Floats
     drive: Floats
     start: Floats
     white: float
+    seen: Floats
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,7 @@ class Difference:
     z : (M,) rad, NaN where the path has none; slow, lateral, turn : (M,) rad, standard deviations of the given
     series' slow error, of the slip that a lateral acceleration makes, and of a turn's; path : (M,) rad², of the path;
     memory : s, of the slow error; zero : rad; fast : rad, white error of the given series
+    turned : (M,) rad, by how much the body has turned; scale : deviation of the given series' error by that, rad/rad
     """
 
     dt: float
@@ -75,6 +80,8 @@ class Difference:
     memory: float
     zero: float
     fast: float
+    turned: Floats
+    scale: float
 
     def errors(self, slip: float, time: float) -> Errors:
         """The model where the front wheels slip by `slip` rad on a straight row, correlated over `time` s."""
@@ -82,23 +89,26 @@ class Difference:
             [
                 self.slow,
                 np.zeros(self.z.size),
+                np.zeros(self.z.size),
                 np.sqrt((slip + self.lateral) ** 2 + self.path),
                 self.turn,
             ]
         )
         decay = np.tile(
-            np.exp(-self.dt / np.array([self.memory, np.inf, time, FRONT_TIME])), (self.z.size, 1)
+            np.exp(-self.dt / np.array([self.memory, np.inf, np.inf, time, FRONT_TIME])), (self.z.size, 1)
         )
-        decay[self.turn > 0.0, 3] = np.exp(-self.dt / physics.TAU_TURN)
-        start = size[0] ** 2 + [0.0, self.zero**2, 0.0, 0.0] + 1e-14
-        return Errors(decay, size**2 * (1.0 - decay**2) + 1e-14, start, WHITE**2 + self.fast**2)
+        decay[self.turn > 0.0, 4] = np.exp(-self.dt / physics.TAU_TURN)
+        start = size[0] ** 2 + [0.0, self.zero**2, self.scale**2, 0.0, 0.0] + 1e-14
+        seen = np.ones((self.z.size, 5))
+        seen[:, 2] = self.turned
+        return Errors(decay, size**2 * (1.0 - decay**2) + 1e-14, start, WHITE**2 + self.fast**2, seen)
 
     def cut(self, first: int, last: int) -> Difference:
         """Samples first to last alone."""
         part = slice(first, last)
         return replace(
             self, z=self.z[part], slow=self.slow[part], lateral=self.lateral[part], turn=self.turn[part],
-            path=self.path[part],
+            path=self.path[part], turned=self.turned[part],
         )  # fmt: skip
 
 
@@ -119,13 +129,23 @@ def path_variance(body: BodyMotion, front_axle: float) -> Floats:
     return np.asarray(np.maximum(across, 0.0) / np.maximum(np.abs(body.v), SLOWEST) ** 2)
 
 
+def slip_variance(body: BodyMotion) -> Floats:
+    """Variance (N,), rad², of the kinematic angle by the lateral velocity's alone."""
+    return np.asarray(body.covariance[:, 4, 4] / np.maximum(np.abs(body.v), SLOWEST) ** 2)
+
+
 def turn_slip(body: BodyMotion, bend: Floats) -> Floats:
     """Size (N,), rad, of the front wheels' slip that stays as long as a turn: by its acceleration and by a draft that
     pulls aside where the combination is bent by `bend` (N,) rad. It has one sign all along, so it does not average."""
-    hard = np.maximum(np.abs(body.v * body.yaw_rate) - physics.TURN_FROM, 0.0)
-    return np.asarray(
-        physics.COMPLIANCE * hard + FRONT_DRAG * np.maximum(np.abs(bend) - physics.BEND_FROM, 0.0)
+    return physics.COMPLIANCE * _beyond(body.v * body.yaw_rate, physics.TURN_FROM) + FRONT_DRAG * _beyond(
+        bend, physics.BEND_FROM
     )
+
+
+def _beyond(value: Floats, least: float) -> Floats:
+    """Sizes of values that count from `least` on, and wholly when they are far beyond."""
+    size = np.maximum(np.abs(value), least)
+    return size - least**2 / size
 
 
 def filtered(z: Floats, e: Errors) -> tuple[Floats, Floats, Floats, Floats, float]:
@@ -141,8 +161,8 @@ def filtered(z: Floats, e: Errors) -> tuple[Floats, Floats, Floats, Floats, floa
             C = C * np.outer(e.decay[k], e.decay[k]) + np.diag(e.drive[k])
         mp[k], Pp[k] = x, C
         if not math.isnan(z[k]):
-            g = C.sum(axis=1)
-            s, left = g.sum() + e.white, z[k] - x.sum()
+            g = C @ e.seen[k]
+            s, left = g @ e.seen[k] + e.white, z[k] - x @ e.seen[k]
             total -= 0.5 * (math.log(s) + left * left / s)
             x = x + g * (left / s)
             C = C - np.outer(g, g) / s
@@ -151,16 +171,17 @@ def filtered(z: Floats, e: Errors) -> tuple[Floats, Floats, Floats, Floats, floa
 
 
 def smooth_error(z: Floats, e: Errors) -> tuple[Floats, Floats]:
-    """Rauch-Tung-Striebel smoother of z = slow error + zero + slips + white, NaN where there is none.
+    """Rauch-Tung-Striebel smoother of z = slow error + zero + scale·turned + slips + white, NaN where there is none.
 
-    Returns the mean and variance of slow error + zero, (M,) each.
+    Returns the mean and variance of slow error + zero + scale·turned, (M,) each.
     """
     m, P, mp, Pp, _ = filtered(z, e)
     for k in range(z.size - 2, -1, -1):
         G = np.linalg.solve(Pp[k + 1], np.diag(e.decay[k + 1]) @ P[k]).T
         m[k] = m[k] + G @ (m[k + 1] - mp[k + 1])
         P[k] = P[k] + G @ (P[k + 1] - Pp[k + 1]) @ G.T
-    return m[:, 0] + m[:, 1], P[:, 0, 0] + P[:, 1, 1] + 2.0 * P[:, 0, 1]
+    given = e.seen[:, :3]
+    return np.sum(m[:, :3] * given, axis=1), np.einsum("ni,nij,nj->n", given, P[:, :3, :3], given)
 
 
 def learnt_slip(d: Difference, prior: float) -> tuple[float, float, bool]:
@@ -203,6 +224,9 @@ def best_steering(
     path = kinematic_angle(body, front_axle)
     lateral = physics.COMPLIANCE_FAST * np.abs(body.v * body.yaw_rate)
     stated, turn = path_variance(body, front_axle), turn_slip(body, bend)
+    # in a turn the path's own doubt is of the rear wheels' slip, and lasts as long
+    lasting = np.where(turn > 0.0, np.minimum(slip_variance(body), stated), 0.0)
+    stated, turn = stated - lasting, np.sqrt(turn**2 + lasting)
     prior = max(FRONT_SHARE * beta, LEAST_SLIP)
     if given is None:
         sd = np.sqrt((prior + lateral) ** 2 + stated + turn**2)
@@ -213,7 +237,8 @@ def best_steering(
     slow, fast = (given.sd, 0.0 * given.sd) if lasting else (0.0 * given.sd, given.sd)
     apart = Difference(
         dt, (given.angle - path)[k], slow[k], lateral[k], turn[k], stated[k], max(given.correlation_time, 1e-3),
-        given.zero_sd, float(np.mean(fast[k])),
+        given.zero_sd, float(np.mean(fast[k])), (body.yaw - np.median(body.yaw))[k],
+        INTEGRATED_SCALE if given.source == "wheels" else 0.0,
     )  # fmt: skip
     slip, time, learnt = learnt_slip(apart, prior)
     error, variance = smooth_error(apart.z, apart.errors(slip, time))

@@ -36,7 +36,13 @@ def test_the_draws_place_errs_along_the_tractors_axes_on_both_bodies_alike() -> 
     none, still = np.zeros(nodes), np.zeros((nodes, 1))
     at = output.Smooth(x, np.zeros((nodes, len(s.KEPT), len(s.KEPT))), none, none, none, none)
     draws = output.body_draws(
-        np.zeros((nodes, len(s.KEPT), count)), at, parameters(), True, (still, still), np.random.default_rng(0), 0.01
+        np.zeros((nodes, len(s.KEPT), count)),
+        at,
+        parameters(),
+        True,
+        (still, still),
+        np.random.default_rng(0),
+        0.01,
     )
     np.testing.assert_allclose(draws[:, :, :2], draws[:, :, 3:5], rtol=0, atol=1e-15)
     np.testing.assert_allclose(draws[:, :, :2].std(axis=0), 0.01, rtol=0.05)
