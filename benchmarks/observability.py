@@ -155,7 +155,10 @@ def without(states: tuple[int, ...], parameters: tuple[int, ...]) -> Callable[[C
 
 SLOW = without((s.EX, s.EY, s.FX, s.FY), (s.P_SD_E, s.P_SD_F))
 ACCELEROMETERS = without((s.BAX, s.BAY), ())
-SLIP = without((s.SLIP1, s.SLIP2, s.TURN1, s.TURN2), (s.P_BETA1, s.P_BETA2, s.P_COMPLIANCE, s.P_TURN))
+SLIP = without(
+    (s.SLIP1, s.SLIP2, s.TURN1, s.TURN2),
+    (s.P_BETA1, s.P_BETA2, s.P_COMPLIANCE, s.P_TURN, s.P_TURN2, s.P_DRAG2),
+)
 
 
 def tiltless(case: Case) -> Case:
