@@ -225,8 +225,8 @@ def best_steering(
     lateral = physics.COMPLIANCE_FAST * np.abs(body.v * body.yaw_rate)
     stated, turn = path_variance(body, front_axle), turn_slip(body, bend)
     # in a turn the path's own doubt is of the rear wheels' slip, and lasts as long
-    lasting = np.where(turn > 0.0, np.minimum(slip_variance(body), stated), 0.0)
-    stated, turn = stated - lasting, np.sqrt(turn**2 + lasting)
+    stays = np.where(turn > 0.0, np.minimum(slip_variance(body), stated), 0.0)
+    stated, turn = stated - stays, np.sqrt(turn**2 + stays)
     prior = max(FRONT_SHARE * beta, LEAST_SLIP)
     if given is None:
         sd = np.sqrt((prior + lateral) ** 2 + stated + turn**2)
