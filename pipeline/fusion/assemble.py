@@ -125,8 +125,13 @@ def constant_crab(machine: Machine, levels: Levels) -> tuple[float, float]:
 
 def slope_crab(smooth: Smoothed, machine: Machine) -> Floats:
     """Crab (N, 2), rad, of both bodies that tyres as soft as `compliances` have under the weight's part along the
-    ground, by the tractor's roll over SLOPE_WINDOW as far as that is more than its own doubt; it turns both uphill."""
-    roll = uniform_filter1d(smooth.x[:, s.ROLL], min(SLOPE_WINDOW, smooth.x.shape[0]), mode="nearest")
+    ground, by the ground's gradient over SLOPE_WINDOW (the tractor's tilt, in the world's axes: a turn leaves it as it
+    is) as far as it is more than the roll's own doubt; it turns both uphill."""
+    roll, pitch, yaw = smooth.x[:, s.ROLL], smooth.x[:, s.PITCH], smooth.x[:, s.YAW1]
+    size, c, sn = min(SLOPE_WINDOW, yaw.size), np.cos(yaw), np.sin(yaw)
+    east = uniform_filter1d(-sn * roll - c * pitch, size, mode="nearest")
+    north = uniform_filter1d(c * roll - sn * pitch, size, mode="nearest")
+    roll = c * north - sn * east
     seen = np.sqrt(np.maximum(roll**2 - smooth.P[:, output.K_ROLL, output.K_ROLL], 0.0))
     return np.outer(GRAVITY * np.sign(roll) * seen, compliances(machine))
 

@@ -7,15 +7,25 @@ import math
 import numpy as np
 import pytest
 from fusion_samples import changed, errors, make, rms
+from smts_validate.pipeline.fusion import state as s
+from smts_validate.pipeline.fusion.assemble import slope_crab
+from smts_validate.pipeline.fusion.engine_compiled import Smoothed
 from smts_validate.pipeline.fusion.epochs import Epochs
 from smts_validate.pipeline.fusion.fuse import fuse
 from smts_validate.pipeline.fusion.ground import leaning, sloping, undulation
 from smts_validate.pipeline.fusion.known import prepare
 from smts_validate.pipeline.twin_plan import TwinPlan, preset
 from smts_validate.pipeline.wheels import wheel_motions
+from smts_validate.sensors.manifest import Machine, parse
+from synthetic_motion import RUN_TOML
 
 DEG = math.pi / 180.0
 SHORT = changed(preset("benign"), path__duration=40.0)
+
+
+def preset_machine() -> Machine:
+    """The machine of the drafted manifest."""
+    return parse(RUN_TOML).machine
 
 
 def across(plan: TwinPlan, slope: float) -> TwinPlan:
@@ -130,3 +140,14 @@ def test_hills_along_the_path_are_seen_by_altitudes_forwards_and_backwards(direc
     assert rms(seen[inside] - truth[inside]) < 0.25 * rms(truth[inside])
     far = undulation(epochs(t, way, 0.8, 1.5, 1.5), plane, way, t, heading)
     assert rms(far) < 0.1 * rms(truth[inside])  # a metre-level receiver sees no hills, and says none
+
+
+def test_a_turn_on_a_plane_keeps_the_slope_that_loads_the_tyres() -> None:
+    n = 3000
+    yaw = np.concatenate([np.zeros(1400), np.linspace(0.0, math.pi, 200), np.full(1400, math.pi)])
+    x = np.zeros((n, s.SIZE))
+    x[:, s.YAW1] = yaw
+    x[:, s.ROLL], x[:, s.PITCH] = 0.05 * np.cos(yaw), -0.05 * np.sin(yaw)  # ground that rises northwards
+    crab = slope_crab(Smoothed(x, np.zeros((n, len(s.KEPT), len(s.KEPT)))), preset_machine())
+    assert crab[:, 0] == pytest.approx(crab[0, 0] * np.cos(yaw), rel=1e-6, abs=1e-9)
+    assert abs(crab[0, 0]) > 0.1 * DEG
