@@ -1,6 +1,6 @@
 """Accuracy and honesty of the fusion over seeded twins: errors, and coverage of the stated deviations.
 
-    python benchmarks/accuracy.py [--passes 40] [--workers 2] [--slope 0.03] [--steering]
+    python benchmarks/accuracy.py [--passes 40] [--workers 2] [--slope 0.03] [--level] [--steering]
 
 Fields (slope, heading) and faults vary with the seed: benign RTK, bad sensors, an outage with float, a headland turn.
 Prints for each kind and for all: median and 95th percentile of the passes' RMSE (cm, degrees), the share of errors
@@ -8,7 +8,7 @@ within 1.96 stated deviations, and the mean of (error/deviation) squared. For be
 tractor's lateral error exceeds the receiver's own error slower than 5 s (root of the difference of squares).
 With --steering instead: the best steering angle, and the series that drives the replay about its mean, of the same
 passes with a steering sensor and wheel-mounted units, with one of them and with neither. With --slope steeper ground,
-whose slope also pulls both bodies aside.
+with --level ground whose slope tilts both bodies but does not pull them aside.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ STEERED = {
 SLOPE_SD = 0.005  # of each component of the ground's gradient
 
 
-def plan_of(seed: int, slope: float = SLOPE_SD) -> tuple[str, TwinPlan]:
+def plan_of(seed: int, slope: float = SLOPE_SD, pulls: bool = True) -> tuple[str, TwinPlan]:
     """A seed's kind of pass and its plan."""
     rng = np.random.default_rng(seed)
     kind = KINDS[seed % len(KINDS)]
@@ -47,7 +47,7 @@ def plan_of(seed: int, slope: float = SLOPE_SD) -> tuple[str, TwinPlan]:
         place__heading_deg=float(rng.uniform(-180.0, 180.0)),
         soil__slope_east=float(rng.normal() * slope),
         soil__slope_north=float(rng.normal() * slope),
-        soil__weight_pulls=slope > SLOPE_SD,
+        soil__weight_pulls=pulls,
     )
 
 
@@ -86,9 +86,11 @@ def steering(seed: int) -> dict[str, dict[str, tuple[float, float, float]]]:
     return {title: steered(without(of.log, *kinds), of) for title, kinds in STEERED.items()}
 
 
-def one(seed: int, slope: float = SLOPE_SD) -> tuple[str, dict[str, tuple[float, float, float]], float]:
+def one(
+    seed: int, slope: float = SLOPE_SD, pulls: bool = True
+) -> tuple[str, dict[str, tuple[float, float, float]], float]:
     """A pass's kind; for each quantity its RMSE, coverage and mean squared normalised error; the lateral excess."""
-    kind, plan = plan_of(seed, slope)
+    kind, plan = plan_of(seed, slope, pulls)
     of = make(plan, 1000 + seed)
     found = of_errors(of.log, of)
     excess = found["lateral1"][0] ** 2 - rms(receiver_slow_error(of)) ** 2
@@ -118,6 +120,9 @@ if __name__ == "__main__":
     parser.add_argument(
         "--slope", type=float, default=SLOPE_SD, help="standard deviation of the grade, east and north"
     )
+    parser.add_argument(
+        "--level", action="store_true", help="the slope tilts both bodies but does not pull them aside"
+    )
     chosen = parser.parse_args()
     if chosen.steering:
         with ProcessPoolExecutor(chosen.workers) as pool:
@@ -126,7 +131,9 @@ if __name__ == "__main__":
             table(title, [row[title] for row in found])
         sys.exit()
     with ProcessPoolExecutor(chosen.workers) as pool:
-        results = list(pool.map(partial(one, slope=chosen.slope), range(chosen.passes)))
+        results = list(
+            pool.map(partial(one, slope=chosen.slope, pulls=not chosen.level), range(chosen.passes))
+        )
     for kind in KINDS:
         table(kind, [row for name, row, _ in results if name == kind])
     table("all", [row for _, row, _ in results])

@@ -126,14 +126,12 @@ def constant_crab(machine: Machine, levels: Levels) -> tuple[float, float]:
 def slope_crab(smooth: Smoothed, machine: Machine) -> Floats:
     """Crab (N, 2), rad, of both bodies that tyres as soft as `compliances` have under the weight's part along the
     ground, by the ground's gradient over SLOPE_WINDOW (the tractor's tilt, in the world's axes: a turn leaves it as it
-    is) as far as it is more than the roll's own doubt; it turns both uphill."""
+    is); it turns both uphill."""
     roll, pitch, yaw = smooth.x[:, s.ROLL], smooth.x[:, s.PITCH], smooth.x[:, s.YAW1]
     size, c, sn = min(SLOPE_WINDOW, yaw.size), np.cos(yaw), np.sin(yaw)
     east = uniform_filter1d(-sn * roll - c * pitch, size, mode="nearest")
     north = uniform_filter1d(c * roll - sn * pitch, size, mode="nearest")
-    roll = c * north - sn * east
-    seen = np.sqrt(np.maximum(roll**2 - smooth.P[:, output.K_ROLL, output.K_ROLL], 0.0))
-    return np.outer(GRAVITY * np.sign(roll) * seen, compliances(machine))
+    return np.outer(GRAVITY * (c * north - sn * east), compliances(machine))
 
 
 def crab_at(t: Floats, nodes: Floats, slide: Floats, constant: tuple[float, float]) -> tuple[Floats, Floats]:
