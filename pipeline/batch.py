@@ -104,7 +104,8 @@ def _executor(request: Request, tasks: int) -> Iterator[tuple[Executor, int]]:
     try:
         yield executor, slots
     finally:
-        executor.shutdown(wait=False, cancel_futures=True)
+        # Workers of our own leave at once, and must be gone before the folder that they write in is removed.
+        executor.shutdown(wait=not request.scheduler, cancel_futures=True)
 
 
 def read_campaign(path: str | None) -> CampaignSettings:
