@@ -12,7 +12,6 @@ import json
 import os
 import shutil
 import tempfile
-import time
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -24,7 +23,6 @@ from .batch_find import RESULT_MARK, filesystem, is_url
 
 PASSES = "passes"
 WORK = ".work"
-PATIENCE = 40  # times 50 ms for workers to leave their unfinished results
 LOCK = ".lock"
 SUMMED_UP = (RESULT_MARK, "run.toml", "comparison.parquet")  # what a campaign needs of a result
 
@@ -217,9 +215,5 @@ def _sweep(top: Path) -> None:
 
 
 def _remove(top: Path, name: str) -> None:
-    for _ in range(PATIENCE):  # a worker that has just been dismissed may write until it notices
-        shutil.rmtree(top / name, ignore_errors=True)
-        if not (top / name).exists():
-            break
-        time.sleep(0.05)
+    shutil.rmtree(top / name, ignore_errors=True)
     (top / f"{name}{LOCK}").unlink(missing_ok=True)
