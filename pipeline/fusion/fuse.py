@@ -16,7 +16,7 @@ from . import state as s
 from .assemble import Settled, assemble
 from .draws import posterior_errors
 from .engine_compiled import Filtered, Smoothed
-from .known import LONG, Known, build, lag_sd, levelled, prepare
+from .known import LONG, Known, build, headed, lag_sd, levelled, prepare
 from .magnetic import with_magnetometers
 from .motion import Motion
 from .prepare import STEP
@@ -148,7 +148,7 @@ def settle(known: Known, options: FusionSettings, levels: Levels, path: Floats) 
         path, found = relinearised(task, options, path)
         settled = not (found > jumps).any()
         lag = float(path[-1, s.LAG])
-        known = replace(known, yaw=(path[:, s.YAW1].copy(), path[:, s.YAW2].copy()))
+        known = headed(known, path[:, s.YAW1].copy(), path[:, s.YAW2].copy())
         jumps = np.maximum(jumps, found)
         task = build(known, options, levels, lag)
         task = replace(task, inject=task.inject + jumps)

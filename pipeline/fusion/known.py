@@ -19,7 +19,7 @@ from .epochs import Epochs
 from .ground import Leaning, leaning
 from .motion import Origin
 from .prepare import STEP, BodyInputs, body_inputs, grid, resolved_yaw_rate, standing, tilt
-from .problem import Problem
+from .problem import Part, Problem
 from .rolling import WheelSpeed, forwards_of, wheel_speed
 from .settings import FusionSettings, Levels
 
@@ -43,6 +43,7 @@ class Known:
 
     speed : (N,) m/s over ground, NaN where unknown; forwards : (N,) 1 or -1; yaw : approximate, (N,) each;
     bias : (4,) mean gyro readings at rest (tractor x, y, z, seeder z), None without a rest
+    ground : measurements of the ground's slope at those headings; neither levels nor the clocks' lag change them
     azimuths : kind, nodes, rad, variance of magnetometers that prove consistent; magnetic : of each magnetometer why it
     is not used ("" where it is), and the deviation of a reading, rad
     """
@@ -61,6 +62,7 @@ class Known:
     nodes: Floats = field(default_factory=lambda: np.empty((0, s.N_SIZE)))
     yaw: tuple[Floats, Floats] = field(default_factory=lambda: (np.empty(0), np.empty(0)))
     bias: Floats | None = None
+    ground: tuple[Part, ...] = ()
     azimuths: tuple[tuple[int, Ints, Floats, float], ...] = ()
     magnetic: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
@@ -124,7 +126,7 @@ def _aligned(known: Known, forwards: Floats) -> Known:
     first = [initial.heading_offset(known.t, turn, known.epochs[0], forwards) for turn in turned]
     # each is a circular mean of its own: heading due west, one may come out at +π and the other at -π
     first[1] += 2.0 * math.pi * round((first[0] - first[1]) / (2.0 * math.pi))
-    return replace(known, bias=bias, yaw=(first[0] + turned[0], first[1] + turned[1]))
+    return headed(replace(known, bias=bias), first[0] + turned[0], first[1] + turned[1])
 
 
 def _with_seeder(known: Known, speed: Floats) -> Known:
@@ -150,8 +152,14 @@ def _halfway(v: Floats) -> Floats:
 
 def levelled(known: Known, path: Floats) -> Known:
     """The seeder's tilt and both headings again, now that the speed is known: path (N, SIZE)."""
-    again = _with_seeder(known, path[:, s.V])
-    return replace(again, yaw=(path[:, s.YAW1].copy(), path[:, s.YAW2].copy()))
+    return headed(_with_seeder(known, path[:, s.V]), path[:, s.YAW1].copy(), path[:, s.YAW2].copy())
+
+
+def headed(known: Known, yaw1: Floats, yaw2: Floats) -> Known:
+    """At other headings (N,) of tractor and seeder, and the ground's slope as the sensors read it along them."""
+    known = replace(known, yaw=(yaw1, yaw2))
+    ground = problem.ground_parts(known.t, known.epochs, yaw1, leanings(known), way_of(known))
+    return replace(known, ground=ground)
 
 
 def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> Problem:
@@ -172,8 +180,7 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
         lag,
         known.yaw,
         creeping(known),
-        leanings(known),
-        way_of(known),
+        known.ground,
     )
     q = problem.with_azimuths(q, known.azimuths, lag)
     x0, P0 = problem.starting_state(

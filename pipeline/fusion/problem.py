@@ -227,20 +227,19 @@ def nodes_of(one: BodyInputs, yaw_rate2: Floats | None, roll2: Floats, pitch2: F
 def measurements_of(
     t: Floats, epochs: Sequence[Epochs], nodes: Floats, still: NDArray[np.bool_], wheel: WheelSpeed | None,
     levels: Levels, p: Floats, lag: float, yaw: tuple[Floats, Floats | None], slow: NDArray[np.bool_],
-    bodies: Sequence[Leaning], way: Floats,
+    ground: Sequence[Part],
 ) -> Measurements:  # fmt: skip
     """All scalar measurements in the order of nodes; `lag` places GNSS epochs beside their nearest node.
 
     yaw : approximate yaws on the grid, by which receivers' headings are unwrapped
     slow : nodes where the machine creeps: its wheels' slip is not small against its speed there
-    bodies : what the tractor's and the seeder's accelerometers say of the ground's slope
-    way : (N,) m, distance along the heading
+    ground : of the slope under the machine, from `ground_parts`
     """
-    parts: list[tuple[Ints, Ints, Floats, Floats, Floats]] = []
+    parts: list[Part] = [*ground]
     for e in epochs:
         parts += _gnss(t, e, levels, lag, yaw, nodes, p)
     parts += _motion(nodes, still | slow, still, levels, p, wheel)
-    parts += _rest(nodes, still, p) + _level(t, epochs, yaw[0], bodies, way)
+    parts += _rest(nodes, still, p)
     return sorted_parts(parts)
 
 
@@ -364,10 +363,14 @@ def _rest(nodes: Floats, still: NDArray[np.bool_], p: Floats) -> list[Part]:
     return parts
 
 
-def _level(
+def ground_parts(
     t: Floats, epochs: Sequence[Epochs], yaw: Floats, bodies: Sequence[Leaning], way: Floats
-) -> list[Part]:
-    """Roll and pitch of the ground once a second, weighted so that all of them know its mean slope only once."""
+) -> tuple[Part, ...]:
+    """Roll and pitch of the ground once a second, weighted so that all of them know its mean slope only once.
+
+    yaw : (N,) of the tractor; way : (N,) m, distance along the heading
+    bodies : what the tractor's and the seeder's accelerometers say of the ground's slope
+    """
     main = next(e for e in epochs if e.first)
     gradient, covariance = ground_slope(main, bodies)
     hill = undulation(main, gradient, way, t, yaw)
@@ -381,7 +384,7 @@ def _level(
     ):
         variance = np.einsum("ni,ij,nj->n", axis, covariance, axis) + rough
         parts.append(_part(kind, k, np.arctan(axis @ gradient + beside), variance * k.size))
-    return parts
+    return tuple(parts)
 
 
 def _rest_variance(v: Floats) -> float:
