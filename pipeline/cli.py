@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 import click
 
+from .cores import cores
 from .garbage import leave_the_rest, seldom_collected
 
 FAILED = 1
@@ -121,10 +122,13 @@ def run(
     as_json: bool,
 ) -> None:  # fmt: skip
     """Run the whole chain for one pass: LOG is an MCAP log or a raw pass's folder."""
-    from . import console
-    from .run import run_to_folder
+    from .report_beside import reports_beside
 
-    summary = run_to_folder(log, out, manifest, engine, figures, say=progress)
+    with reports_beside(figures) as finish:
+        from . import console
+        from .run import run_to_folder
+
+        summary = run_to_folder(log, out, manifest, engine, finish, progress)
     emit(summary, as_json, console.ran)
     _leave_unless_adequate(require_adequate, summary["verdict"]["value"])
 
@@ -172,7 +176,7 @@ def _request(paths: tuple[str, ...], **options: Any) -> Any:
     return Request(
         paths=paths,
         out=options["out"],
-        workers=os.cpu_count() or 1 if workers is None else workers,
+        workers=cores() if workers is None else workers,
         scheduler=options["scheduler"],
         resume=not options["no_resume"],
         campaign=options["campaign"],
@@ -281,7 +285,7 @@ def sweep(ranges: tuple[str, ...], out: Path, workers: int | None, as_json: bool
     def say(done: int, total: int) -> None:
         progress(f"{done} of {total} designs")
 
-    made = make_sweep(out, ranges, workers=workers or os.cpu_count() or 1, progress=say, **options)
+    made = make_sweep(out, ranges, workers=workers or cores(), progress=say, **options)
     emit(console.study_values(out, made.files, made.tables), as_json, console.studied)
 
 
@@ -343,7 +347,7 @@ def plan(
     from .planning import REPEATS
     from .planning_report import plan_to_folder
 
-    count = os.cpu_count() or 1 if workers is None else workers
+    count = cores() if workers is None else workers
     document = plan_to_folder(campaign, out, repeats or REPEATS, pilots, count, progress)
     emit(document, as_json, console.planned)
 

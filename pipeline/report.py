@@ -16,7 +16,7 @@ from .report_pass import head_of
 from .report_view import PassView
 from .result import HTML, LOG, PDF, read_result
 from .result_mcap import write_result_log
-from .sections import SECTIONS
+from .sections import SECTIONS, methods
 
 
 def sections_of(view: PassView) -> tuple[Section, ...]:
@@ -44,6 +44,13 @@ def write_pages(head: Head, sections: Sequence[Section], folder: Path, date: dt.
     equations = [block for section in sections for block in section.blocks if isinstance(block, Equation)]
     drawn |= {equation.words: figures.draw_equation(equation) for equation in equations}
     (folder / PDF).write_bytes(report_pdf.render(head, sections, drawn, date))
+
+
+def draw_equations() -> None:
+    """Draw the equations that every pass's report shows, before there is a pass; what draws them keeps them."""
+    for block in methods.BLOCKS:
+        if isinstance(block, Equation):
+            figures.draw_equation(block)
 
 
 def write_figures(sections: Sequence[Section], folder: Path) -> list[Path]:

@@ -16,8 +16,7 @@ from .adequacy import judge_pass
 from .compare import compare
 from .fusion.fuse import fuse
 from .garbage import seldom_collected
-from .report import finish, sections_of, write_figures
-from .result import FIGURES, PassResult, read_result, write_result
+from .result import PassResult, write_result
 from .run_settings import RunSettings, with_engine
 from .source import machine_of, read_source
 from .spectra import spectra_of
@@ -100,8 +99,16 @@ def compute(
     if fingerprint is not None:
         result = with_provenance(result, {"fingerprint": fingerprint})
     say("writing the reports")
-    write_result(out, result, finish)
+    write_result(out, result, _finish)
     return result
+
+
+def _finish(folder: Path) -> None:
+    from .report import (
+        finish,
+    )  # late: where another process makes the reports, nothing of them is imported here
+
+    finish(folder)
 
 
 def with_provenance(result: PassResult, more: Mapping[str, Any]) -> PassResult:
@@ -115,26 +122,21 @@ def run_to_folder(
     out: Path | None = None,
     manifest: Path | None = None,
     engine: str = "compiled",
-    figures: bool = False,
+    finish: Callable[[Path], None] | None = None,
     say: Say = silent,
 ) -> dict[str, Any]:
     """Run one pass into `out` (results/<run.id> by default); the head of its metrics, and its report.
 
-    engine : of the fusion, "compiled" or "filterpy"; figures : whether each is also left as files
+    engine : of the fusion, "compiled" or "filterpy"
+    finish : makes log and reports of the result's folder; None: this process makes them
     """
     say(f"reading {source}")
     log = read_source(source, manifest)
     folder = Path("results") / log.manifest.run.id if out is None else out
     result = run_pass(log, with_engine(RunSettings(), engine), say)
     say("writing the reports")
-    write_result(folder, result, finish_with_figures if figures else finish)
+    write_result(folder, result, finish or _finish)
     return {**headline(result.metrics), "out": str(folder), "report": str(folder / "report.html")}
-
-
-def finish_with_figures(folder: Path) -> None:
-    """Make the reports of the result in `folder`, and each figure as files."""
-    finish(folder)
-    write_figures(sections_of(read_result(folder)), folder / FIGURES)
 
 
 def headline(metrics: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.signal import correlate
 
 from .formats.speed_csv import SPEED_UNITS, TURN_UNITS
 from .manifest import GRAVITY, Imd, Machine, Manifest, Speed, Wds
@@ -188,6 +187,8 @@ def time_offset(t: Floats, x: Floats, t_ref: Floats, x_ref: Floats) -> tuple[flo
 def _correlations(long: Floats, short: Floats) -> Floats:
     """Correlation coefficient of `short` (M,) with each window of its length in `long` (N,): (N - M + 1,)."""
     centred, even = short - short.mean(), long - long.mean()
+    from scipy.signal import correlate  # late: half a second that only a pass's own reading needs
+
     products = correlate(even, centred, mode="valid", method="fft")
     sums, squares = (np.concatenate([[0.0], np.cumsum(v)]) for v in (even, even**2))
     total, power = sums[short.size :] - sums[: -short.size], squares[short.size :] - squares[: -short.size]

@@ -1,0 +1,90 @@
+"""Reports made by a process of their own: the same bytes, the same errors, and nobody left behind."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+import pytest
+import report_samples as samples
+from smts_validate.pipeline import report, report_beside
+from smts_validate.pipeline.batch_executors import WorkerSlots
+from smts_validate.pipeline.report_beside import reports_beside
+from smts_validate.pipeline.result import METRICS, ResultError, write_result
+
+PATIENCE = 20.0  # s
+
+
+def test_another_process_makes_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = samples.pass_result()
+    here = write_result(tmp_path / "here", result, report.finish)
+    monkeypatch.setattr(report_beside, "cores", lambda: 2)
+    with reports_beside() as finish:
+        beside = write_result(tmp_path / "beside", result, finish)
+    names = {path.name for path in here.iterdir()}
+    assert names == {path.name for path in beside.iterdir()}
+    assert "report.html" in names
+    for name in names:
+        assert (beside / name).read_bytes() == (here / name).read_bytes(), name
+
+
+def test_an_error_of_the_reports_arrives_and_leaves_no_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report_beside, "cores", lambda: 2)
+    with reports_beside() as finish:
+
+        def without_metrics(folder: Path) -> None:
+            (folder / METRICS).unlink()
+            finish(folder)
+
+        with pytest.raises(ResultError, match=r"has no metrics\.json"):
+            write_result(tmp_path / "out", samples.pass_result(), without_metrics)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_killed_process_costs_no_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report_beside, "cores", lambda: 2)
+    with reports_beside() as finish:
+        for child in children_once_there():
+            child.kill()
+        out = write_result(tmp_path / "out", samples.pass_result(), finish)
+    assert (out / "report.html").stat().st_size > 0
+
+
+def test_the_process_ends_with_the_block_also_when_the_pass_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(report_beside, "cores", lambda: 2)
+    with pytest.raises(ValueError, match="refused"), reports_beside():
+        started = children_once_there()
+        raise ValueError("refused")
+    until = time.monotonic() + PATIENCE
+    while any(child.is_alive() for child in started):
+        assert time.monotonic() < until, "the process for the reports is still there"
+        time.sleep(0.02)
+
+
+def test_a_single_core_makes_the_reports_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report_beside, "cores", lambda: 1)
+    monkeypatch.setattr(report_beside, "WorkerSlots", none_wanted)
+    with reports_beside(figures=True) as finish:
+        out = write_result(tmp_path / "out", samples.pass_result(), finish)
+    assert (out / "report.pdf").is_file()
+    assert any((out / "figures").glob("*.svg"))
+
+
+def none_wanted(count: int) -> WorkerSlots:
+    """In place of the processes."""
+    raise AssertionError("a process of its own was started on a single core")
+
+
+def children_once_there() -> list[BaseProcess]:
+    """Processes of this one, once there is one."""
+    until = time.monotonic() + PATIENCE
+    while not (found := multiprocessing.active_children()):
+        assert time.monotonic() < until, "no process was started"
+        time.sleep(0.02)
+    return found
