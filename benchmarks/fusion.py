@@ -3,7 +3,7 @@
     python benchmarks/fusion.py [--lengths 60,600,3600] [--hour]
 
 Prints microseconds a step (one step: 1/50 s with all its measurements) forward and smoothed, ratios to filterpy,
-and with --hour the whole `fuse` of an hour of nine units at 100 Hz with its peak memory. The reference engines run
+what the wheels' own series take (all four units), and with --hour the whole `fuse` of an hour of nine units at 100 Hz with its peak memory. The reference engines run
 on the first minute of each length: they take the same time a step whatever the length.
 """
 
@@ -22,7 +22,7 @@ from smts_validate.pipeline.fusion.known import build, prepare
 from smts_validate.pipeline.fusion.prepare import STEP
 from smts_validate.pipeline.fusion.problem import Problem
 from smts_validate.pipeline.fusion.settings import FusionSettings, Levels
-from smts_validate.pipeline.wheels import wheel_motions
+from smts_validate.pipeline.wheels import WheelMotion, wheel_motions
 from smts_validate.sensors.draft_text import MACHINE, SEEDER
 from smts_validate.sensors.manifest import parse
 from smts_validate.sensors.streams import FieldLog, GnssStream, ImuStream, WheelStream
@@ -83,9 +83,9 @@ def weave(duration: float) -> FieldLog:
     return FieldLog(manifest, manifest_text(), streams)
 
 
-def problem_of(log: FieldLog) -> Problem:
+def problem_of(log: FieldLog, wheels: dict[str, WheelMotion]) -> Problem:
     """The estimation problem of a log at the starting levels."""
-    return build(prepare(log, wheel_motions(log)), FusionSettings(), Levels(), 0.0)
+    return build(prepare(log, wheels), FusionSettings(), Levels(), 0.0)
 
 
 def numpy_loop(task: Problem) -> None:
@@ -136,9 +136,16 @@ def per_step(run: Callable[[Problem], None], task: Problem, repeats: int) -> flo
 
 def lengths(seconds: list[float]) -> None:
     """A row a length."""
-    print("us a step      compiled   NumPy loop     filterpy   filterpy/compiled   measurements a step")
+    print(
+        "us a step      compiled   NumPy loop     filterpy   filterpy/compiled   measurements a step   wheels"
+    )
+    wheel_motions(weave(20.0))  # loads what is compiled
     for duration in seconds:
-        task = problem_of(weave(duration))
+        log = weave(duration)
+        begin = time.perf_counter()
+        wheels = wheel_motions(log)
+        taken = time.perf_counter() - begin
+        task = problem_of(log, wheels)
         start = np.tile(task.x0, (task.t.size, 1))
         start[:, s.V], start[:, s.Y] = 2.5, 0.0
         part = cut(task, 0, REFERENCE_STEPS, start)
@@ -147,6 +154,7 @@ def lengths(seconds: list[float]) -> None:
         ratio, density = rows[2] / rows[0], task.measurements.kind.size / task.t.size
         print(
             f"{duration:6.0f} s {rows[0]:12.2f} {rows[1]:12.0f} {rows[2]:12.0f} {ratio:16.0f} x {density:14.1f}"
+            f" {1e6 * taken / task.t.size:16.1f}"
         )
 
 

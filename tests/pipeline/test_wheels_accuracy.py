@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from smts_validate.pipeline.wheels import Carrier, nominal_radius, steer_from_wheels, wheel_motion
-from smts_validate.sensors.streams import WheelStream
+from smts_validate.pipeline.wheels import nominal_radius, steer_from_wheels, wheel_motion
 from wheel_samples import FINE, RADIUS, RATE, START, scene, weaving
 
 DEG = np.pi / 180.0
@@ -53,29 +50,6 @@ def test_estimates_reach_the_designs_figures_and_state_their_errors_truly(level)
     for name, (rmse, ratio) in pooled.items():
         assert rmse < targets[name], name
         assert 0.5 < ratio < 1.5, name
-
-
-@pytest.mark.slow
-def test_time_grows_linearly_with_the_length_of_a_pass():
-    given = scene(weaving(60.0), seed=1)
-    stream, body = given.streams["wds1"], given.carrier
-    sensor = given.manifest.of_kind("wds")["wds1"]
-    spent = {}
-    for copies in (10, 40):
-        t = np.concatenate([stream.t + 60.0 * k for k in range(copies)])
-        every = (stream.specific_force, stream.angular_velocity, body.angular_velocity)
-        force, rate, swing = (np.tile(a, (copies, 1)) for a in every)
-        long, carried = WheelStream("wds1", t, t, force, rate), Carrier(t, swing)
-        spent[copies] = min(
-            timed(lambda s=long, c=carried: wheel_motion(s, sensor, 0.62, c)) for _ in range(3)
-        )
-    assert spent[40] < 10.0 * spent[10]
-
-
-def timed(work: Callable[[], object]) -> float:
-    begin = time.perf_counter()
-    work()
-    return time.perf_counter() - begin
 
 
 @pytest.mark.full
