@@ -3,8 +3,9 @@
     python benchmarks/fusion.py [--lengths 60,600,3600] [--hour]
 
 Prints microseconds a step (one step: 1/50 s with all its measurements) forward and smoothed, ratios to filterpy,
-what the wheels' own series take (all four units), and with --hour the whole `fuse` of an hour of nine units at 100 Hz with its peak memory. The reference engines run
-on the first minute of each length: they take the same time a step whatever the length.
+what the wheels' own series take (all four units), and with --hour the whole `fuse` of an hour of nine units at 100 Hz
+with its peak memory. The reference engines run on the first minute of each length: they take the same time a step
+whatever the length.
 """
 
 from __future__ import annotations
