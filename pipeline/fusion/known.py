@@ -18,7 +18,7 @@ from . import state as s
 from .epochs import Epochs
 from .ground import Leaning, leaning
 from .motion import Origin
-from .prepare import STEP, BodyInputs, body_inputs, grid, resolved_yaw_rate, standing, tilt
+from .prepare import STEP, BodyInputs, body_inputs, grid, node_rates, resolved_yaw_rate, standing, tilt
 from .problem import Part, Problem
 from .rolling import WheelSpeed, forwards_of, wheel_speed
 from .settings import FusionSettings, Levels
@@ -92,8 +92,8 @@ def prepare(log: FieldLog, wheels: Mapping[str, WheelMotion]) -> Known:
     point = np.array([-machine.tractor.rear_axle, 0.0, -problem.sway(machine.tractor)])
     speed = initial.ground_speed(t, epochs[0])
     spin = _mean_spin(t, wheels)
-    rough = body_inputs(log, "tractor", point, t, np.zeros(t.size, dtype=bool))
-    still = standing(rough.node_rate, initial.resting_speed(t, epochs[0], speed), spin)
+    rates = node_rates(log, "tractor", t)
+    still = standing(rates, initial.resting_speed(t, epochs[0], speed), spin)
     one = body_inputs(log, "tractor", point, t, still)
     two = None
     if machine.seeder is not None:

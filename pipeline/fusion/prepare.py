@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 
 STEP = 0.02  # s: the grid of the results
 HALF = 0.5 * STEP
+FEWEST = 10  # samples of a unit that is used
 STILL_RATE = 0.02  # rad/s: engine vibration stays below, travel over a field does not
 STILL_WINDOW = 50  # nodes, 1 s
 STILL_MARGIN = 20  # nodes left out at both ends of a rest: clocks and GNSS smoothing
@@ -74,9 +75,8 @@ def unit_means(
 ) -> UnitMeans:
     """Means of one unit on the grid `t` from the running integral of its samples (exact for lost samples)."""
     force, rate = to_body(stream, sensor)
-    edges = np.concatenate(
-        [[t[0] - HALF, t[0]], np.column_stack([t[:-1] + HALF, t[1:]]).ravel(), [t[-1] + HALF]]
-    )
+    halves = _halves(t)
+    edges = np.concatenate([halves[:1], np.column_stack([t, halves[1:]]).ravel()])
     sums = np.column_stack([_running_integral(stream.t, v, edges) for v in (*rate.T, *force.T)])
     at_nodes, at_halves = sums[1::2], sums[0::2]
     step = np.diff(at_nodes, axis=0) / STEP
@@ -92,6 +92,24 @@ def unit_means(
         accel,
         source,
     )
+
+
+def node_rates(log: FieldLog, body: str, t: Floats) -> Floats:
+    """Angular velocity (N, 3), rad/s, about each node, the mean of a body's units; before their noise is known."""
+    imd = log.manifest.of_kind("imd")
+    units = [
+        np.column_stack([
+            np.diff(_running_integral(stream.t, v, _halves(t))) / STEP for v in to_body(stream, imd[name])[1].T
+        ])
+        for name, stream in log.of_type(ImuStream).items()
+        if imd[name].body == body and stream.t.size >= FEWEST
+    ]  # fmt: skip
+    return np.asarray(np.mean(units, axis=0))
+
+
+def _halves(t: Floats) -> Floats:
+    """The ends (N + 1,) of the intervals about the nodes t (N,)."""
+    return np.concatenate([[t[0] - HALF], t + HALF])
 
 
 def _running_integral(t: Floats, v: Floats, at: Floats) -> Floats:
@@ -155,7 +173,7 @@ def body_inputs(log: FieldLog, body: str, point: Floats, t: Floats, still: NDArr
     units, levers, noise = [], [], {}
     for name, stream in log.of_type(ImuStream).items():
         sensor = log.manifest.of_kind("imd")[name]
-        if sensor.body != body or stream.t.size < 10:
+        if sensor.body != body or stream.t.size < FEWEST:
             continue
         unit = unit_means(stream, sensor, t, still)
         units.append(unit)
