@@ -1,26 +1,21 @@
 """Where passes are computed: three executors behind `concurrent.futures.Executor`, alike to the batch.
 
-Serial (this process), worker slots (spawned processes, each alone, so that a dying one takes nothing with it
-but its own pass), and a Dask cluster.
+Serial (this process), worker slots (processes of their own, so that a dying one takes nothing with it but its
+own pass), and a Dask cluster, whose workers keep such a process each.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 import threading
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import partial
-from multiprocessing.connection import Connection
 from typing import Any, ParamSpec, TypeVar
+
+from .batch_child import Child, WorkerLost, in_kept_child, one_threaded
 
 Params = ParamSpec("Params")
 Value = TypeVar("Value")
-
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 class ClusterError(ValueError):
@@ -43,68 +38,62 @@ class SerialExecutor(Executor):
 
 
 class WorkerSlots(Executor):
-    """`count` spawned processes, each fed by a thread of its own and replaced when it dies.
+    """`count` processes, each fed by a thread of its own and replaced when it dies.
 
     A pool of `count` workers would break as a whole with any one of them, and could not say whose pass did
-    it. Every worker holds one end of a pipe whose other end is this process's alone: when this process ends,
-    however it ends, the pipe closes and the workers leave.
+    it. The workers leave when this process ends, however it ends.
     """
 
     def __init__(self, count: int) -> None:
         if not count >= 1:
             raise ValueError(f"{count} workers: there must be at least one")
-        for name in ONE_THREAD:  # children inherit this; set before numpy is imported in them
-            os.environ.setdefault(name, "1")
-        self._context = multiprocessing.get_context("spawn")
-        self._lifeline, self._our_end = self._context.Pipe(duplex=False)
         self._threads = ThreadPoolExecutor(count, thread_name_prefix="worker-slot")
         self._slot = threading.local()
+        self._lock = threading.Lock()  # none may be started when all are being dismissed
+        self._children: list[Child] = []
         self._closing = False
 
     def submit(
         self, fn: Callable[Params, Value], /, *args: Params.args, **kwargs: Params.kwargs
     ) -> Future[Value]:
-        """Run `fn` in the next free worker; its future raises BrokenProcessPool when that worker died."""
-        return self._threads.submit(partial(self._in_own_process, partial(fn, *args, **kwargs)))
+        """Run `fn` in the next free worker; its future raises WorkerLost when that worker died."""
+        return self._threads.submit(self._in_own_process, partial(fn, *args, **kwargs))
 
     def _in_own_process(self, call: Callable[[], Value]) -> Value:
-        pool = getattr(self._slot, "pool", None) or self._new_pool()
+        child: Child = getattr(self._slot, "child", None) or self._start()
         try:
-            return pool.submit(call).result()
-        except BrokenProcessPool:
-            self._slot.pool = None
-            pool.shutdown(wait=False)
+            return child.run(call)
+        except WorkerLost:
+            self._slot.child = None
+            self._end(child)
             raise
 
-    def _new_pool(self) -> ProcessPoolExecutor:
-        if self._closing:
-            raise BrokenProcessPool("the batch is stopping")
-        pool = ProcessPoolExecutor(
-            1, mp_context=self._context, initializer=_start_worker, initargs=(self._lifeline,)
-        )
-        self._slot.pool = pool
-        return pool
+    def _start(self) -> Child:
+        with self._lock:
+            if self._closing:
+                raise WorkerLost("the batch is stopping")
+            child = self._slot.child = Child(one_threaded())
+            self._children.append(child)
+        return child
+
+    def _end(self, child: Child) -> None:
+        child.end()
+        child.wait()
+        with self._lock:
+            self._children.remove(child)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Dismiss the workers; a task under way ends with them."""
-        self._closing = True
         self._threads.shutdown(wait=False, cancel_futures=cancel_futures)
-        self._our_end.close()
-        self._threads.shutdown(wait=wait)
-
-
-def _start_worker(lifeline: Connection) -> None:
-    """First thing in a worker: Ctrl-C is the parent's to handle, and the parent's end is ours."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_leave_with_parent, args=(lifeline,), daemon=True).start()
-
-
-def _leave_with_parent(lifeline: Connection) -> None:
-    try:
-        lifeline.recv_bytes()
-    except (EOFError, OSError):
-        # Not sys.exit: it would end this thread only, and the pass under way is nobody's any more.
-        os._exit(1)
+        with self._lock:
+            self._closing = True
+            dismissed = tuple(self._children)
+        for child in dismissed:
+            child.end()
+        if wait:
+            for child in dismissed:
+                child.wait()
+            self._threads.shutdown(wait=True)
 
 
 def dask_executor(address: str, timeout: float = 15.0) -> tuple[Executor, int]:
@@ -143,8 +132,8 @@ class DaskExecutor(Executor):
     def submit(
         self, fn: Callable[Params, Value], /, *args: Params.args, **kwargs: Params.kwargs
     ) -> Future[Value]:
-        """Run `fn` on some worker of the cluster."""
-        future: Future[Value] = self._executor.submit(fn, *args, **kwargs)
+        """Run `fn` on some worker of the cluster, in a process that the worker keeps for that."""
+        future: Future[Value] = self._executor.submit(in_kept_child, partial(fn, *args, **kwargs))
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:

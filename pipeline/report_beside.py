@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -35,7 +35,7 @@ def reports_beside(figures: bool = False) -> Iterator[Finish]:
 def _made_by(slots: WorkerSlots, folder: Path, figures: bool) -> None:
     try:
         slots.submit(make_reports, folder, figures).result()
-    except BrokenProcessPool:  # killed, for want of memory say: the pass is not lost for that
+    except BrokenExecutor:  # killed, for want of memory say: the pass is not lost for that
         make_reports(folder, figures)
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import time
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 
+import psutil
 import pytest
 import report_samples as samples
 from smts_validate.pipeline import report, report_beside
@@ -61,10 +60,8 @@ def test_the_process_ends_with_the_block_also_when_the_pass_is_refused(
     with pytest.raises(ValueError, match="refused"), reports_beside():
         started = children_once_there()
         raise ValueError("refused")
-    until = time.monotonic() + PATIENCE
-    while any(child.is_alive() for child in started):
-        assert time.monotonic() < until, "the process for the reports is still there"
-        time.sleep(0.02)
+    _, alive = psutil.wait_procs(started, timeout=PATIENCE)
+    assert not alive, "the process for the reports is still there"
 
 
 def test_a_single_core_makes_the_reports_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,10 +78,10 @@ def none_wanted(count: int) -> WorkerSlots:
     raise AssertionError("a process of its own was started on a single core")
 
 
-def children_once_there() -> list[BaseProcess]:
+def children_once_there() -> list[psutil.Process]:
     """Processes of this one, once there is one."""
     until = time.monotonic() + PATIENCE
-    while not (found := multiprocessing.active_children()):
+    while not (found := psutil.Process().children()):
         assert time.monotonic() < until, "no process was started"
         time.sleep(0.02)
     return found
