@@ -12,6 +12,7 @@ from ._integrators import FULL_SIZE, SLIP, begin, has_diverged, write_sample
 from ._kernels import derivative
 from ._layout import Floats, Options, Tables
 from ._steering import inputs_at, tick
+from .parts import part
 
 MOST_TRIALS = 200_000  # of the adaptive integrator between two samples; beyond, the run counts as diverged
 
@@ -31,7 +32,7 @@ STAGES = np.array(
 ERROR = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def trial_step(
     t: float, h: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats, change: Floats,
     tables: Tables, options: Options, step: float, u: Floats, k: Floats, trial: Floats,
@@ -58,7 +59,7 @@ def trial_step(
     return worst
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def adaptive_span(
     t: float, span: float, guess: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats,
     change: Floats, tables: Tables, options: Options, step: float, u: Floats, k: Floats, trial: Floats,
@@ -83,7 +84,7 @@ def adaptive_span(
     return 0.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@part
 def run_adaptive(
     initial: Floats, p: Floats, driver: Floats, change: Floats, tables: Tables, options: Options,
     h: float, every: int, memory: Floats, out: Floats,

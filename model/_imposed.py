@@ -11,11 +11,12 @@ from . import _layout as at
 from ._integrators import has_diverged, substeps
 from ._kernels import FORCE, add_distance_force, interpolate, seeder_force
 from ._layout import Floats, Options, Tables
+from .parts import part
 
 YAW2, W2, SLIP, FULL_SIZE = at.YAW2, at.W2, at.SLIP, at.FULL_SIZE
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def impose(t: float, table: Floats, tables: Tables, s: Floats, u: Floats, force_row: int) -> None:
     """Tractor's pose and rates at t into the state; its accelerations and the seeder's disturbance into u."""
     place = t / tables.dt
@@ -30,7 +31,7 @@ def impose(t: float, table: Floats, tables: Tables, s: Floats, u: Floats, force_
             u[FORCE + k] = interpolate(tables.time_force[force_row], place, k)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def trailed_derivative(
     s: Floats, p: Floats, u: Floats, tables: Tables, row: int, options: Options, rate: Floats
 ) -> None:
@@ -53,7 +54,7 @@ def trailed_derivative(
     rate[at.DISTANCE] = c1 * s[at.VX1] + s1 * s[at.VY1]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def move(s: Floats, k: Floats, h: float, size: int, trial: Floats) -> None:
     """trial = s + h·k for the seeder's own states (yaw2, its rate, the distance, the slips)."""
     for i in range(at.DISTANCE, size):
@@ -62,7 +63,7 @@ def move(s: Floats, k: Floats, h: float, size: int, trial: Floats) -> None:
     trial[W2] = s[W2] + h * k[W2]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def trailed_step(
     t: float, h: float, s: Floats, size: int, p: Floats, table: Floats, tables: Tables, row: int,
     options: Options, u: Floats, k: Floats, trial: Floats,
@@ -82,7 +83,7 @@ def trailed_step(
     impose(t + h, table, tables, s, u, row)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@part
 def run_trailed(
     initial: Floats, p: Floats, start: float, table: Floats, tables: Tables, row: int, options: Options,
     h: float, every: int, out: Floats,
@@ -109,11 +110,11 @@ def run_trailed(
             sample[at.AX1], sample[at.AY1], sample[at.ALPHA1], sample[at.ALPHA2] = u[0], u[1], u[2], k[0, W2]
         parts = substeps(s, p, h, options.largest_rate)
         t = start + step * h
-        for part in range(parts):
-            if part > 0:
+        for piece in range(parts):
+            if piece > 0:
                 trailed_derivative(s, p, u, tables, row, options, k[0])
             trailed_step(
-                t + part * h / parts, h / parts, s, size, p, table, tables, row, options, u, k, trial
+                t + piece * h / parts, h / parts, s, size, p, table, tables, row, options, u, k, trial
             )
     return int(out.shape[0])
 

@@ -11,6 +11,7 @@ from . import _layout as at
 from ._kernels import SLOWEST, derivative
 from ._layout import Floats, Options, Tables
 from ._steering import TICK, inputs_at, steering, tick
+from .parts import part
 
 FULL_SIZE, SLIP, VX1, VY1, W1, W2 = at.FULL_SIZE, at.SLIP, at.VX1, at.VY1, at.W1, at.W2
 X1, Y1, YAW1, YAW2 = at.X1, at.Y1, at.YAW1, at.YAW2
@@ -19,7 +20,7 @@ WHEELS, WHEEL_SIZE = at.WHEELS, at.WHEEL_SIZE
 FASTEST_TURN = 50.0  # rad/s; a body that turns faster has diverged
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def substeps(s: Floats, p: Floats, h: float, largest_rate: float) -> int:
     """Parts of a step that keep Runge–Kutta 4 stable: sideways damping grows as 1/v towards standstill."""
     speed = max(abs(s[VX1] * math.cos(s[YAW1]) + s[VY1] * math.sin(s[YAW1])), SLOWEST)
@@ -27,7 +28,7 @@ def substeps(s: Floats, p: Floats, h: float, largest_rate: float) -> int:
     return 1 + int(h * min(fastest, 1e6) / largest_rate)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def finish_step(
     t: float, h: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats, change: Floats,
     tables: Tables, options: Options, step: float, u: Floats, k: Floats, trial: Floats,
@@ -49,25 +50,25 @@ def finish_step(
         s[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def fixed_span(
     t: float, h: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats, change: Floats,
     tables: Tables, options: Options, u: Floats, k: Floats, trial: Floats,
 ) -> None:  # fmt: skip
     """Runge–Kutta 4 over one step, in as many parts as stability asks for."""
     parts = substeps(s, p, h, options.largest_rate)
-    for part in range(parts):
-        if part > 0:
+    for piece in range(parts):
+        if piece > 0:
             derivative(
                 s, p, u, tables.distance_force[int(change[at.FORCE_ROW])], tables.spacing, options, k[0]
             )
         finish_step(
-            t + part * h / parts, h / parts, s, size, p, driver, memory, change, tables, options, h, u, k,
+            t + piece * h / parts, h / parts, s, size, p, driver, memory, change, tables, options, h, u, k,
             trial
         )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def start_slips(s: Floats, p: Floats, u: Floats) -> None:
     """Slip states of the first instant: the slip angles of rolling without relaxation."""
     s1, c1, s2, c2 = math.sin(s[YAW1]), math.cos(s[YAW1]), math.sin(s[YAW2]), math.cos(s[YAW2])
@@ -84,7 +85,7 @@ def start_slips(s: Floats, p: Floats, u: Floats) -> None:
         s[SLIP + i] = math.atan2(across, max(abs(along), SLOWEST))
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def has_diverged(s: Floats) -> bool:
     """Whether the state is no longer finite, or a body spins as no machine does."""
     return not (
@@ -95,7 +96,7 @@ def has_diverged(s: Floats) -> bool:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def write_sample(s: Floats, rate: Floats, mean: float, sample: Floats) -> None:
     """One output sample: state, second derivatives, steering angle."""
     for i in range(at.STATE_SIZE):
@@ -105,7 +106,7 @@ def write_sample(s: Floats, rate: Floats, mean: float, sample: Floats) -> None:
     sample[at.STEER] = mean
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def begin(
     initial: Floats, p: Floats, driver: Floats, change: Floats, tables: Tables, h: float, memory: Floats,
     s: Floats, u: Floats,
@@ -120,7 +121,7 @@ def begin(
     start_slips(s, p, u)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@part
 def run(
     initial: Floats, p: Floats, driver: Floats, change: Floats, tables: Tables, options: Options,
     h: float, every: int, memory: Floats, out: Floats,

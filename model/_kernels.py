@@ -14,6 +14,7 @@ from numba import njit
 
 from . import _layout as at
 from ._layout import Floats, Options
+from .parts import part
 from .tyres import lateral_force
 
 FADE_SPEED = 0.05  # m/s, rolling resistance and draft fade in over this speed
@@ -70,7 +71,7 @@ def wheel_force(
     return drive - p[base + ROLLING] * fade(forward), across, rate
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def traction_demand(speed: float, p: Floats, u: Floats) -> float:
     """Traction that the speed controller asks for, N: mass·(a + (v_asked − v)/T) and the known
     resistances."""
@@ -134,7 +135,7 @@ def seeder_force(
     return sum_x, sum_y, moment
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def determinant3(
     a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float
 ) -> float:
@@ -142,7 +143,7 @@ def determinant3(
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def determinant4(m: Floats) -> float:
     """Determinant of a (4, 4) matrix by its first row."""
     total, sign = 0.0, 1.0
@@ -155,7 +156,7 @@ def determinant4(m: Floats) -> float:
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def solve_cramer(m: Floats, r1: float, r2: float, r3: float, r4: float, rate: Floats) -> None:
     """rate[VX1..W2] = m⁻¹·r by Cramer's rule, the paper's way; m (4, 4) is left as it was."""
     whole = determinant4(m)
@@ -166,7 +167,7 @@ def solve_cramer(m: Floats, r1: float, r2: float, r3: float, r4: float, rate: Fl
         m[0, k], m[1, k], m[2, k], m[3, k] = m0, m1, m2, m3
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def solve_by_cramer(
     p: Floats, s1: float, c1: float, s2: float, c2: float, a34: float, a43: float,
     r1: float, r2: float, r3: float, r4: float, rate: Floats,
@@ -230,7 +231,7 @@ def accelerate(
         solve_by_elimination(p, s1, c1, s2, c2, a34, a43, q1, q2, q3, q4, rate)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def interpolate(table: Floats, place: float, column: int) -> float:
     """Linear interpolation in a column of an equally spaced table at a fractional row, held beyond its
     ends."""

@@ -11,6 +11,7 @@ from . import _layout as at
 from ._kernels import derivative
 from ._layout import Floats, Options, Tables
 from ._steering import inner_angles
+from .parts import part
 
 SLIP, FORCE = at.SLIP, at.FORCE
 STATES = 4  # lateral velocity of O1, both yaw rates, hitch angle; then the slip states
@@ -20,7 +21,7 @@ SMALL = 1e-6  # of a state or of the steering angle; forces are moved by SMALL t
 FORCE_UNIT = 1e4
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def straight_rates(
     place: Floats, speed: float, p: Floats, tables: Tables, options: Options, rows: Floats
 ) -> None:

@@ -9,6 +9,7 @@ from numba import njit
 from . import _layout as at
 from ._kernels import interpolate
 from ._layout import Floats, Tables
+from .parts import part
 
 X1, Y1, YAW1 = at.X1, at.Y1, at.YAW1
 FORCE, FORCE_SIZE = at.FORCE, at.FORCE_SIZE
@@ -72,7 +73,7 @@ def load_inputs(t: float, mean: float, p: Floats, change: Floats, tables: Tables
             u[FORCE + k] = interpolate(tables.time_force[row], place, k)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def inputs_at(
     t: float, memory: Floats, driver: Floats, change: Floats, tables: Tables, h: float, p: Floats, u: Floats
 ) -> float:
@@ -82,7 +83,7 @@ def inputs_at(
     return float(mean)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def path_point(progress: float, tables: Tables) -> tuple[float, float, float]:
     """x, y and heading of the path at a distance along it, going straight on beyond its ends."""
     last = tables.path.shape[0] - 1
@@ -97,7 +98,7 @@ def path_point(progress: float, tables: Tables) -> tuple[float, float, float]:
     return x, y, yaw
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def pursuit_angle(s: Floats, p: Floats, driver: Floats, memory: Floats, tables: Tables) -> float:
     """Front angle that aims O1 at the path `preview` ahead: γ = gain·atan(2·L·y_aim/preview²) (pure
     pursuit)."""
@@ -110,7 +111,7 @@ def pursuit_angle(s: Floats, p: Floats, driver: Floats, memory: Floats, tables: 
     return float(min(max(angle, -driver[at.MAX_ANGLE]), driver[at.MAX_ANGLE]))
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def delayed(angle: float, memory: Floats, ticks: float) -> float:
     """Store a command in the ring and give the one of `ticks` (a fraction is interpolated) ago."""
     newest = (int(memory[NEWEST]) + 1) % RING_SIZE
@@ -123,7 +124,7 @@ def delayed(angle: float, memory: Floats, ticks: float) -> float:
     return float(late + part * (later - late))
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def tick(t: float, s: Floats, p: Floats, driver: Floats, memory: Floats, tables: Tables, h: float) -> None:
     """One decision of the driver: aim, delay, first-order lag and limited rate of the wheels until the
     next."""

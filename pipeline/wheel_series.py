@@ -108,7 +108,9 @@ def smooth(columns: Floats, walk: Walk, block: int = 0) -> Smoothed:
     """
     columns = np.ascontiguousarray(columns)
     size = block or columns.shape[0]
-    mean, variance, predicted, half = _forward(columns, walk.step, walk.noise, walk.initial, size)
+    mean, variance, predicted, half = _forward(
+        columns, walk.step, np.ascontiguousarray(walk.noise), walk.initial, size
+    )
     _backward(mean, variance, predicted)
     return Smoothed(mean, variance, half + np.transpose(np.tril(half, -1), (0, 2, 1)))
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from ..parts import part
 
 NAME = "fiala"
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def lateral_force(slip_angle: float, stiffness: float, limit: float) -> float:
     """Force F = −C·z + C²·|z|·z/(3·limit) − C³·z³/(27·limit²) with z = tan δ, N; −limit·sign δ once sliding,
     which begins at |z| = 3·limit/C."""

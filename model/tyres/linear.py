@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from numba import njit
+from ..parts import part
 
 NAME = "linear"
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def lateral_force(slip_angle: float, stiffness: float, limit: float) -> float:
     """Force F = −clip(C·δ, −limit, limit), N."""
     force = -stiffness * slip_angle

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from ..parts import part
 
 NAME = "tanh"
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def lateral_force(slip_angle: float, stiffness: float, limit: float) -> float:
     """Force F = −limit·tanh(C·δ/limit), N; slope −C at δ = 0, never beyond the limit."""
     if not limit > 0.0:

@@ -11,11 +11,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ...model.parts import part, summing
 from .kernels import GATE_1, GATE_2, PATTERN, predict, process_noise, transition
 from .state import EX, EY, FX, FY, HITCH, KEPT, P_ACTIVE, PAIRED, SIZE, STILL_AX, STILL_V
 
-# Sums of products may be taken in any order here: vectors of the processor do it in fours.
-SUMS = {"reassoc", "contract"}
 KEEP = np.array(KEPT, dtype=np.int64)
 PAIRS = np.array(PAIRED, dtype=np.int64)
 
@@ -24,7 +23,7 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def times_transition(F: Floats, A: Floats, out: Floats, n: int) -> None:
     """F·A into `out`, row by row, skipping the structural zeros of F."""
     for i in range(n):
@@ -38,7 +37,7 @@ def times_transition(F: Floats, A: Floats, out: Floats, n: int) -> None:
             out[i, j] += f * A[m, j]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def transpose(A: Floats, out: Floats, n: int) -> None:
     """Aᵀ into `out`."""
     for i in range(n):
@@ -46,7 +45,7 @@ def transpose(A: Floats, out: Floats, n: int) -> None:
             out[j, i] = A[i, j]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def propagate(P: Floats, F: Floats, q: Floats, A: Floats, B: Floats, n: int) -> None:
     """F·P·Fᵀ + diag(q) in place: rows only, F·(F·P)ᵀ, as P is symmetric. A, B : scratch (SIZE, SIZE)."""
     times_transition(F, P, A, n)
@@ -56,7 +55,7 @@ def propagate(P: Floats, F: Floats, q: Floats, A: Floats, B: Floats, n: int) -> 
         P[i, i] += q[i]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def carry(F: Floats, x: Floats, point: Floats, there: Floats) -> None:
     """F·(x − point) added to `there` in place, skipping the structural zeros of F."""
     for i in range(SIZE):
@@ -66,7 +65,7 @@ def carry(F: Floats, x: Floats, point: Floats, there: Floats) -> None:
         there[i] += F[i, m] * (x[m] - point[m])
 
 
-@njit(cache=True, error_model="numpy", fastmath=SUMS)
+@summing
 def gain(P: Floats, H: Floats, var: float, K: Floats, n: int) -> float:
     """Innovation variance S = H·P·Hᵀ + var and gain K = P·Hᵀ/S of a scalar measurement."""
     K[:] = 0.0
@@ -84,7 +83,7 @@ def gain(P: Floats, H: Floats, var: float, K: Floats, n: int) -> float:
     return S
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def correct(x: Floats, P: Floats, K: Floats, S: float, innovation: float, n: int) -> None:
     """x + K·innovation and P − K·S·Kᵀ in place; products of two gains commute, so P stays symmetric."""
     for i in range(n):
@@ -93,7 +92,7 @@ def correct(x: Floats, P: Floats, K: Floats, S: float, innovation: float, n: int
             P[i, j] -= S * (K[i] * K[j])
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def expected(kind: int, x: Floats, point: Floats, node: Floats, ahead: float, p: Floats, H: Floats) -> float:
     """h(point) + H·(x − point): the measurement expected at x, linearised at `point`; fills H."""
     value = predict(kind, point, node, ahead, p, H)
@@ -103,7 +102,7 @@ def expected(kind: int, x: Floats, point: Floats, node: Floats, ahead: float, p:
     return value
 
 
-@njit(cache=True, error_model="numpy", fastmath=SUMS)
+@summing
 def shared(P: Floats, H: Floats, a: int, b: int) -> float:
     """Row a of H times P times row b."""
     total = 0.0
@@ -114,7 +113,7 @@ def shared(P: Floats, H: Floats, a: int, b: int) -> float:
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def distance(P: Floats, H: Floats, nu: Floats, var: Floats, m: int, count: int) -> float:
     """Squared Mahalanobis distance of one or two scalar innovations from one linearisation (rows of H).
 
@@ -127,7 +126,7 @@ def distance(P: Floats, H: Floats, nu: Floats, var: Floats, m: int, count: int) 
     return (c * nu[0] * nu[0] - 2.0 * b * nu[0] * nu[1] + a * nu[1] * nu[1]) / (a * c - b * b)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def is_pair(kind: int) -> bool:
     """Whether this kind is the first of an east-north pair."""
     found = False
@@ -136,7 +135,7 @@ def is_pair(kind: int) -> bool:
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def is_given(kind: int) -> bool:
     """Whether this kind is mechanics, not a reading: the hitch and standing still have no outliers to refuse.
 
@@ -145,7 +144,7 @@ def is_given(kind: int) -> bool:
     return kind == HITCH or STILL_V <= kind <= STILL_AX
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def update_node(
     x: Floats,
     P: Floats,
@@ -278,7 +277,7 @@ def forward(
     return total
 
 
-@njit(cache=True, error_model="numpy", fastmath=SUMS)
+@summing
 def absorb(lam: Floats, Lam: Floats, H: Floats, K: Floats, S: float, nu: float, n: int) -> None:
     """Adjoint state and covariance back through one scalar update: (I − KH)ᵀ on both sides, plus HᵀH/S."""
     LK = np.zeros(SIZE)
@@ -303,7 +302,7 @@ def absorb(lam: Floats, Lam: Floats, H: Floats, K: Floats, S: float, nu: float, 
                 Lam[i, j] += H[i] * H[j] * weight
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def times_adjoint(F: Floats, A: Floats, out: Floats, n: int) -> None:
     """Fᵀ·A into `out`, row by row."""
     for i in range(n):
@@ -317,7 +316,7 @@ def times_adjoint(F: Floats, A: Floats, out: Floats, n: int) -> None:
             out[i, j] += f * A[m, j]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def retreat(lam: Floats, Lam: Floats, F: Floats, A: Floats, B: Floats, n: int) -> None:
     """Adjoint state and covariance back through one step: Fᵀ·lambda and Fᵀ·Lambda·F. A, B : scratch."""
     a = np.empty(SIZE)
@@ -333,7 +332,7 @@ def retreat(lam: Floats, Lam: Floats, F: Floats, A: Floats, B: Floats, n: int) -
     times_adjoint(F, B, Lam, n)
 
 
-@njit(cache=True, error_model="numpy", fastmath=SUMS)
+@summing
 def kept_covariance(P: Floats, Lam: Floats, out: Floats, n: int) -> None:
     """Rows and columns KEEP of P − P·Lambda·P."""
     k = KEEP.size

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ...model.parts import part
 from ...sensors.manifest import GRAVITY
 from .settings import BEND_FROM, DRAG, TAU_TURN, TURN_FROM
 from .state import (
@@ -118,7 +119,7 @@ GATE_1 = 15.14  # χ² with 1 degree of freedom at 1e-4
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def fade(x: Floats, u: Floats, dt: float, p: Floats, F: Floats, out: Floats) -> None:
     """Gauss-Markov components after one step, into `out`, and their factors, on the diagonal of F."""
     slip, slow = math.exp(-dt / p[P_TAU_SLIP]), math.exp(-dt / p[P_TAU_E])
@@ -198,7 +199,7 @@ PATTERN = np.array(
 )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def beyond(value: float, least: float) -> float:
     """Size of a value that counts from `least` on, and wholly when it is far beyond."""
     size = abs(value)
@@ -238,7 +239,7 @@ def process_noise(x: Floats, u: Floats, dt: float, p: Floats, q: Floats) -> None
     q[KAPPA] = (p[P_KAPPA_WALK] ** 2 + (p[P_KAPPA_DRIVE] * u[U_DRIVE]) ** 2) * dt
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def antenna_offset(
     roll: float, pitch: float, ax: float, ay: float, az: float
 ) -> tuple[float, float, float, float, float]:
@@ -254,7 +255,7 @@ def antenna_offset(
     return forward, left, -up, st * left, ct * up - st * ax
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def predict_position(kind: int, x: Floats, node: Floats, ahead: float, p: Floats, H: Floats) -> float:
     """East or north of the tractor's antenna `ahead` + LAG seconds after the node; fills H."""
     north = (kind & 1) if kind < THIRD_X else kind - THIRD_X
@@ -290,7 +291,7 @@ def predict_position(kind: int, x: Floats, node: Floats, ahead: float, p: Floats
     return x[at] + x[slow] + (x[V] * cm - across * sm) * dt + fwd * c - left * s
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def predict_velocity(kind: int, x: Floats, node: Floats, p: Floats, H: Floats) -> float:
     """East or north velocity of the tractor's antenna at the node; fills H."""
     wz = (node[U_WZ] - x[BGZ]) * (1.0 - x[SCALE1])
@@ -313,7 +314,7 @@ def predict_velocity(kind: int, x: Floats, node: Floats, p: Floats, H: Floats) -
     return along * c - across * s
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def predict_second(kind: int, x: Floats, node: Floats, ahead: float, p: Floats, H: Floats) -> float:
     """East or north of an antenna on the seeder; fills H."""
     dt = ahead + x[LAG]
@@ -343,7 +344,7 @@ def predict_second(kind: int, x: Floats, node: Floats, ahead: float, p: Floats, 
     return x[at] + x[slow] + (x[V] * c1 - across * s1) * dt - d * c1 + fwd * c2 - left * s2
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def predict_hitch(x: Floats, node: Floats, p: Floats, H: Floats) -> float:
     """Lateral velocity at the seeder's axle less its slip: zero, for the hitch is rigid; fills H.
 
@@ -362,7 +363,7 @@ def predict_hitch(x: Floats, node: Floats, p: Floats, H: Floats) -> float:
     return x[V] * s + across * c - p[P_AXLE2] * w2 - x[SLIP2] - x[TURN2]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def predict_lateral(x: Floats, node: Floats, H: Floats) -> float:
     """Lateral specific force at the rear axle that the motion and the tilt explain; fills H.
 
@@ -408,7 +409,7 @@ def predict(kind: int, x: Floats, node: Floats, ahead: float, p: Floats, H: Floa
     return x[state]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _still(kind: int) -> int:
     """State that a standing machine or the ground's slope shows directly."""
     if kind == STILL_V:
