@@ -16,11 +16,13 @@ from ...sensors.manifest import GRAVITY, Machine
 from ...sensors.streams import Warn
 from ..wheels import WheelMotion, choose_steer_input
 from . import output
+from . import settings as physics
 from . import state as s
 from .consistency import assess, innovations
 from .engine_compiled import Filtered, Smoothed
 from .filtering import unpack
-from .known import Known
+from .ground import ground_slope
+from .known import Known, leanings
 from .motion import Motion, SteerInput
 from .prepare import STEP
 from .problem import Problem, compliances
@@ -65,11 +67,13 @@ def assemble(
     tilt2 = (known.nodes[:, s.N_ROLL2], known.nodes[:, s.N_PITCH2])
     at = output.at_utc(known.t, t, lag, smooth.x, smooth.P, tilt2)
     lateral1, lateral2 = (np.interp(t + lag, known.t, a) for a in lateral_accelerations(known, smooth.x))
-    place = output.place_doubt(
-        p, ground_variance(task), float(np.median(smooth.P[:, output.K_ROLL, output.K_ROLL]))
+    (across, steep), roll = (
+        slope_variances(known),
+        float(np.median(smooth.P[:, output.K_ROLL, output.K_ROLL])),
     )
+    place = output.place_doubt(p, ground_variance(task), roll, steep)
     machine = known.log.manifest.machine
-    slide, constant = slope_crab(smooth, machine), constant_crab(machine, levels)
+    slide, constant = slope_crab(smooth, machine, min(across, roll) + steep), constant_crab(machine, levels)
     crab = crab_at(t + lag, known.t, slide, constant)
     tractor = output.tractor_motion(at, p, crab[0], lateral1, place)
     seeder = output.seeder_motion(at, p, crab[1], lateral2, place) if known.two is not None else None
@@ -96,9 +100,22 @@ def assemble(
 
 
 def ground_variance(task: Problem) -> float:
-    """Variance (rad²) of the mean roll that all readings of the ground's slope give together; inf without one."""
+    """Variance (rad²) of the mean roll that all readings of the ground's slope and the accelerometer's bias, as it is
+    known beforehand, give together: what is known of it without turning."""
     level = task.measurements.var[task.measurements.kind == s.LEVEL_ROLL]
-    return float(np.median(level)) / level.size if level.size else math.inf
+    ground = level.size / float(np.median(level)) if level.size else 0.0
+    return 1.0 / (ground + GRAVITY**2 / float(task.P0[s.BAY, s.BAY]))
+
+
+def slope_variances(known: Known) -> tuple[float, float]:
+    """Variances (rad²) of the cross slope, mean along the path: by the readings of it without turning, and by the doubt
+    of how steep the field is."""
+    slope = ground_slope(known.epochs[0], leanings(known))
+    left = np.column_stack([-np.sin(known.yaw[0]), np.cos(known.yaw[0])])
+    across, steep = (
+        float(np.mean(np.einsum("ni,ij,nj->n", left, C, left))) for C in (slope.known, slope.doubt)
+    )
+    return across, steep
 
 
 def constant_crab(machine: Machine, levels: Levels) -> tuple[float, float]:
@@ -123,22 +140,37 @@ def constant_crab(machine: Machine, levels: Levels) -> tuple[float, float]:
     return float(crab[0]), float(crab[1])
 
 
-def slope_crab(smooth: Smoothed, machine: Machine) -> Floats:
-    """Crab (N, 2), rad, of both bodies that tyres as soft as `compliances` have under the weight's part along the
-    ground, by the ground's gradient over SLOPE_WINDOW (the tractor's tilt, in the world's axes: a turn leaves it as it
-    is); it turns both uphill."""
+def slope_crab(smooth: Smoothed, machine: Machine, variance: float = 0.0) -> Floats:
+    """Crab (N, 2, 2), rad, of tractor and seeder that tyres as soft as `compliances` have under the weight's part along
+    the ground: by the ground's cross slope, and by that slope's deviation.
+
+    It turns both uphill. variance : rad², of the mean cross slope
+    """
+    slope = np.column_stack(cross_slope(smooth, variance))
+    return np.asarray(GRAVITY * slope[:, None, :] * np.array(compliances(machine))[:, None])
+
+
+def cross_slope(smooth: Smoothed, variance: float) -> tuple[Floats, Floats]:
+    """Cross slope (N,) of the ground along the path, rad, and its deviation.
+
+    The tractor's tilt in the world's axes (a turn leaves it as it is), mean over SLOPE_WINDOW. Of rolling on rough
+    ground a part is left in such a mean, by ROUGH_TIME of it; the slopes are as large as the means are beyond that.
+    """
     roll, pitch, yaw = smooth.x[:, s.ROLL], smooth.x[:, s.PITCH], smooth.x[:, s.YAW1]
     size, c, sn = min(SLOPE_WINDOW, yaw.size), np.cos(yaw), np.sin(yaw)
     east = uniform_filter1d(-sn * roll - c * pitch, size, mode="nearest")
     north = uniform_filter1d(c * roll - sn * pitch, size, mode="nearest")
-    return np.outer(GRAVITY * (c * north - sn * east), compliances(machine))
+    mean = c * north - sn * east
+    rocking = float(np.var(roll - mean)) * 2.0 * physics.ROUGH_TIME / (size * STEP)
+    share = max(1.0 - rocking / max(float(np.mean(mean**2)), 1e-12), 0.0)
+    return share * mean, np.full(yaw.size, math.sqrt(share * rocking + variance))
 
 
 def crab_at(t: Floats, nodes: Floats, slide: Floats, constant: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Deviations of both bodies' crab at instants t (M,), rad, each (M, 2): constant along a row, and by the slope."""
+    """Deviations of both bodies' crab at instants t (M,), rad, each (M, 3): constant along a row, and by the slope."""
     tractor, seeder = (
-        np.column_stack([np.full(t.size, c), np.interp(t, nodes, by_slope)])
-        for c, by_slope in zip(constant, slide.T, strict=True)
+        np.column_stack([np.full(t.size, c), *(np.interp(t, nodes, by) for by in slide[:, body].T)])
+        for body, c in enumerate(constant)
     )
     return tractor, seeder
 

@@ -18,6 +18,7 @@ from . import state as s
 from .epochs import Epochs
 from .ground import Leaning, leaning
 from .motion import Origin
+from .offsets import Reading, along, offset_sd, risen, upwards
 from .prepare import STEP, BodyInputs, body_inputs, grid, node_rates, resolved_yaw_rate, standing, tilt
 from .problem import Part, Problem
 from .rolling import WheelSpeed, forwards_of, wheel_speed
@@ -43,6 +44,7 @@ class Known:
 
     speed : (N,) m/s over ground, NaN where unknown; forwards : (N,) 1 or -1; yaw : approximate, (N,) each;
     bias : (4,) mean gyro readings at rest (tractor x, y, z, seeder z), None without a rest
+    offset : m/s², deviation of a unit's lateral accelerometer offset where the manifest states none
     ground : measurements of the ground's slope at those headings; neither levels nor the clocks' lag change them
     azimuths : kind, nodes, rad, variance of magnetometers that prove consistent; magnetic : of each magnetometer why it
     is not used ("" where it is), and the deviation of a reading, rad
@@ -63,6 +65,7 @@ class Known:
     yaw: tuple[Floats, Floats] = field(default_factory=lambda: (np.empty(0), np.empty(0)))
     bias: Floats | None = None
     ground: tuple[Part, ...] = ()
+    offset: float = physics.ACCEL_BIAS
     azimuths: tuple[tuple[int, Ints, Floats, float], ...] = ()
     magnetic: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
@@ -158,6 +161,7 @@ def levelled(known: Known, path: Floats) -> Known:
 def headed(known: Known, yaw1: Floats, yaw2: Floats) -> Known:
     """At other headings (N,) of tractor and seeder, and the ground's slope as the sensors read it along them."""
     known = replace(known, yaw=(yaw1, yaw2))
+    known = replace(known, offset=offset_sd(offset_readings(known)))
     ground = problem.ground_parts(known.t, known.epochs, yaw1, leanings(known), way_of(known))
     return replace(known, ground=ground)
 
@@ -189,6 +193,8 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
         lag_sd(known.log), known.nodes, known.bias,
     )  # fmt: skip
     x0[s.LAG] = lag
+    if not any(u.accel_bias for u in known.log.manifest.of_kind("imd").values() if u.body == "tractor"):
+        P0[s.BAY, s.BAY] = known.offset**2
     for kind, *_ in known.azimuths:
         constant = s.HEADING if kind == s.MAGNETIC1 else s.SEEDER_HEADING
         P0[constant, constant] = problem.AZIMUTH_FREE**2
@@ -207,6 +213,20 @@ def way_of(known: Known) -> Floats:
     return np.asarray(np.cumsum(np.where(speed > CREEP, speed, 0.0) * known.forwards) * STEP)
 
 
+def offset_readings(known: Known) -> list[Reading]:
+    """What each body's accelerometers read along and up beyond what they should have."""
+    way, rise = way_of(known), risen(known.epochs[0])
+    found: list[Reading | None] = []
+    for body, inputs in (("tractor", known.one), ("seeder", known.two)):
+        units = [u for u in known.log.manifest.of_kind("imd").values() if u.body == body]
+        if inputs is not None and not any(u.accel_bias for u in units):
+            found.append(upwards(inputs.node_force[:, 2], len(units)))
+            if rise is not None:
+                speed = np.nan_to_num(known.speed)
+                found.append(along(inputs.node_force[:, 0], way, speed, rise, len(units)))
+    return [r for r in found if r is not None]
+
+
 def leanings(known: Known) -> tuple[Leaning, ...]:
     """What the accelerometers of the tractor, then of the seeder, say of the ground's slope."""
     speed = np.nan_to_num(known.speed) * known.forwards
@@ -216,7 +236,7 @@ def leanings(known: Known) -> tuple[Leaning, ...]:
     units = known.log.manifest.of_kind("imd").values()
     found = []
     for body, yaw in zip(rolls, known.yaw, strict=True):
-        own = [u.accel_bias or physics.ACCEL_BIAS for u in units if u.body == body]
+        own = [u.accel_bias or known.offset for u in units if u.body == body]
         if own:
             sd = math.hypot(math.sqrt(sum(b * b for b in own)) / len(own) / GRAVITY, physics.LEAN)
             found.append(leaning(yaw, rolls[body], sd, float(known.t[-1] - known.t[0])))

@@ -23,7 +23,9 @@ Floats = NDArray[np.float64]
 
 RATE_WINDOW = 11  # nodes: yaw rates leave as slopes of the smoothed yaw over 0.2 s
 K_X, K_Y, K_YAW1, K_V, K_SLIP1, K_ROLL, K_PITCH, K_YAW2, K_BGZ, K_BGZ2, K_LAG, K_TURN1 = range(len(KEPT))
+Place = tuple[float, float]  # m, deviations of a constant doubt of place ahead and to the left of the tractor
 BLOCK = 8192  # nodes worked on at a time: an hour's covariances more than once are the peak of memory
+UNMEASURED: Place = (physics.LEVER_SD, physics.LEVER_SD)
 BODY = 6  # x, y, yaw, v, v_lateral, yaw_rate
 
 
@@ -124,18 +126,20 @@ def seeder_crab(m: Smooth, p: Floats) -> Floats:
 
 
 def _covariance(
-    J: Floats, P: Floats, rate_variance: float, crab: Floats, turned: Floats, lever: float
+    J: Floats, P: Floats, rate_variance: float, crab: Floats, turned: Floats, place: Place, yaw: Floats
 ) -> Floats:
-    """J·P·Jᵀ with what the state does not hold: the rates' own noise, lever arms, and crab.
+    """J·P·Jᵀ with what the state does not hold: the rates' own noise, a constant doubt of place, and crab.
 
     crab : (N, K) deviations of K independent errors of the yaw, rad; turned : (N, 3) d(x, y, yaw) by one
+    yaw : (N,) of the tractor, along whose axes the place is in doubt
     """
     C = np.empty((J.shape[0], BODY, BODY))
     for a in range(0, J.shape[0], BLOCK):
         here = slice(a, a + BLOCK)
         C[here] = J[here] @ P[here] @ J[here].transpose(0, 2, 1)
-    C[:, 0, 0] += lever**2
-    C[:, 1, 1] += lever**2
+    c, sn = np.cos(yaw), np.sin(yaw)
+    for size, axis in ((place[0], np.stack([c, sn], axis=1)), (place[1], np.stack([-sn, c], axis=1))):
+        C[:, :2, :2] += size**2 * axis[:, :, None] * axis[:, None, :]
     C[:, :3, :3] += np.sum(crab**2, axis=1)[:, None, None] * turned[:, :, None] * turned[:, None, :]
     C[:, 4, 4] += rate_variance
     C[:, 5, 5] += rate_variance
@@ -148,14 +152,16 @@ def _slope_variance(noise: float) -> float:
 
 
 def tractor_motion(
-    m: Smooth, p: Floats, crab: Floats, lateral: Floats | None, place: float = physics.LEVER_SD
+    m: Smooth, p: Floats, crab: Floats, lateral: Floats | None, place: Place = UNMEASURED
 ) -> BodyMotion:
     """The tractor's motion at its centre of mass; place : m, constant doubt of it beside the state's."""
     x = m.x
     c, sn = np.cos(x[:, s.YAW1]), np.sin(x[:, s.YAW1])
     forward = p[s.P_REAR] + p[s.P_SWAY] * np.sin(x[:, s.PITCH]) * np.cos(x[:, s.ROLL])
     left = -p[s.P_SWAY] * np.sin(x[:, s.ROLL])
-    C = _covariance(tractor_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO1]), crab, tractor_crab(m), place)
+    C = _covariance(
+        tractor_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO1]), crab, tractor_crab(m), place, x[:, s.YAW1]
+    )
     return BodyMotion(
         x=x[:, s.X] + forward * c - left * sn,
         y=x[:, s.Y] + forward * sn + left * c,
@@ -171,7 +177,7 @@ def tractor_motion(
 
 
 def seeder_motion(
-    m: Smooth, p: Floats, crab: Floats, lateral: Floats | None, place: float = physics.LEVER_SD
+    m: Smooth, p: Floats, crab: Floats, lateral: Floats | None, place: Place = UNMEASURED
 ) -> BodyMotion:
     """The seeder's motion at its centre of mass, behind the hitch by l5; place : as of the tractor, which leads it."""
     x = m.x
@@ -181,7 +187,15 @@ def seeder_motion(
     left = -p[s.P_SWAY2] * np.sin(m.roll2)
     bend = x[:, s.YAW1] - x[:, s.YAW2]
     across = slip_velocity(m) - p[s.P_HITCH] * m.rate1
-    C = _covariance(seeder_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO2]), crab, seeder_crab(m, p), place)
+    C = _covariance(
+        seeder_jacobian(m, p),
+        m.P,
+        _slope_variance(p[s.P_GYRO2]),
+        crab,
+        seeder_crab(m, p),
+        place,
+        x[:, s.YAW1],
+    )
     return BodyMotion(
         x=x[:, s.X] - p[s.P_HITCH] * c1 + forward * c2 - left * s2,
         y=x[:, s.Y] - p[s.P_HITCH] * s1 + forward * s2 + left * c2,
@@ -203,18 +217,18 @@ def _crabbing(crab: Floats, count: int, rng: np.random.Generator) -> Floats:
 
 def body_draws(
     error: Floats, at: Smooth, p: Floats, seeder: bool, crab: tuple[Floats, Floats], rng: np.random.Generator,
-    place: float = 0.0,
+    place: Place = (0.0, 0.0),
 ) -> Floats:  # fmt: skip
     """Draws of the error of (x1, y1, yaw1, x2, y2, yaw2), (K, M, 6 or 3), from draws of the KEPT state (M, kept, K).
 
     at : the smoothed state at the draws' instants; crab : (M, modes) deviations of each body's crab, rad, one value
     of each mode a draw;
-    place : m, of a constant error of place along the tractor's axes, likewise; the seeder shares it
+    place : of a constant error of place, likewise; the seeder shares it
     """
     one = np.einsum("nik,nkd->dni", tractor_jacobian(at, p)[:, :3], error, optimize=True)
     count = error.shape[2]
     one += _crabbing(crab[0], count, rng) * tractor_crab(at)
-    shift = moved(at, place * rng.standard_normal((count, 2))) if place > 0.0 else 0.0
+    shift = moved(at, np.array(place) * rng.standard_normal((count, 2)))
     one[:, :, :2] += shift
     if not seeder:
         return np.ascontiguousarray(one)
@@ -231,13 +245,17 @@ def moved(at: Smooth, ahead_left: Floats) -> Floats:
     return np.stack([ahead * c - left * sn, ahead * sn + left * c], axis=2)
 
 
-def place_doubt(p: Floats, ground: float, roll: float) -> float:
-    """Constant doubt of place (m): lever arms by tape, and the unit's mounting where its gyros tell the tilt.
+def place_doubt(p: Floats, level: float, roll: float, steep: float = 0.0) -> Place:
+    """Constant doubt of place: lever arms by tape, the unit's mounting where its gyros tell the tilt, and the field's
+    steepness where they don't.
 
     On a straight row the ground's slope tells the body's mean roll and the mounting is lost in the accelerometer's
     bias. A turn shows the gyros where the vertical is, but against the unit, not the body.
 
-    ground, roll : variances (rad²) of the mean roll by the ground's slope alone, and as smoothed
+    level, roll : variances (rad²) of the mean roll without turning, and as smoothed
+    steep : variance (rad²) of the mean roll without turning by the field's steepness being unknown
     """
-    by_gyros = min(max(1.0 - roll / max(ground, 1e-12), 0.0), 1.0)
-    return math.hypot(physics.LEVER_SD, by_gyros * physics.MOUNT_SD * (p[s.P_ANT_Z] + p[s.P_SWAY]))
+    height = p[s.P_ANT_Z] + p[s.P_SWAY]
+    without = min(roll / max(level, 1e-12), 1.0)
+    ahead = math.hypot(physics.LEVER_SD, (1.0 - without) * physics.MOUNT_SD * height)
+    return ahead, math.hypot(ahead, without * math.sqrt(steep) * height)

@@ -16,7 +16,7 @@ from ...sensors.streams import FieldLog, GnssStream
 from . import settings as physics
 from . import state as s
 from .epochs import Epochs
-from .ground import Leaning, ground_slope, rough_mean, undulation
+from .ground import Leaning, ground_slope, rough_mean, rough_pitch, standstills, undulation
 from .motion import Origin
 from .prepare import STEP, BodyInputs
 from .rolling import WheelSpeed
@@ -372,15 +372,16 @@ def ground_parts(
     bodies : what the tractor's and the seeder's accelerometers say of the ground's slope
     """
     main = next(e for e in epochs if e.first)
-    gradient, covariance = ground_slope(main, bodies)
+    slope = ground_slope(main, bodies)
+    gradient, covariance = slope.gradient, slope.covariance
     hill = undulation(main, gradient, way, t, yaw)
     k = np.arange(0, t.size, LEVEL_EVERY)
     c, sn = np.cos(yaw[k]), np.sin(yaw[k])
-    rough = rough_mean(t[-1] - t[0])
+    across, along = rough_mean(t[-1] - t[0]), rough_pitch(t[-1] - t[0], standstills(way, STEP))
     parts = []
-    for kind, axis, beside in (
-        (s.LEVEL_ROLL, np.column_stack([-sn, c]), 0.0),
-        (s.LEVEL_PITCH, np.column_stack([-c, -sn]), -hill[k]),
+    for kind, axis, beside, rough in (
+        (s.LEVEL_ROLL, np.column_stack([-sn, c]), 0.0, across),
+        (s.LEVEL_PITCH, np.column_stack([-c, -sn]), -hill[k], along),
     ):
         variance = np.einsum("ni,ij,nj->n", axis, covariance, axis) + rough
         parts.append(_part(kind, k, np.arctan(axis @ gradient + beside), variance * k.size))

@@ -349,9 +349,9 @@ def test_an_altitude_of_zero_in_a_high_field_is_no_slope() -> None:
         "gps", "tractor", True, t, 2.8 * t, 0.0 * t, z, np.full(t.size, 0.011), np.ones(t.size, dtype=bool),
         nothing, nothing, nothing, True,
     )  # fmt: skip
-    gradient, covariance = ground_slope(epochs)
-    assert gradient[0] == pytest.approx(0.01, abs=0.002)
-    assert math.sqrt(covariance[0, 0]) < 0.005
+    slope = ground_slope(epochs)
+    assert slope.gradient[0] == pytest.approx(0.01, abs=0.002)
+    assert math.sqrt(slope.covariance[0, 0]) < 0.005
 
 
 def test_a_steering_sensor_whose_zero_is_far_off_is_told_of_and_doubted_that_much() -> None:

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from fusion_samples import changed, errors, make, rms
+from scipy.signal import lfilter
 from smts_validate.pipeline.fusion import state as s
 from smts_validate.pipeline.fusion.assemble import slope_crab
 from smts_validate.pipeline.fusion.engine_compiled import Smoothed
 from smts_validate.pipeline.fusion.epochs import Epochs
 from smts_validate.pipeline.fusion.fuse import fuse
-from smts_validate.pipeline.fusion.ground import leaning, sloping, undulation
+from smts_validate.pipeline.fusion.ground import (
+    STEEPEST,
+    Leaning,
+    ground_slope,
+    leaning,
+    rough_mean,
+    rough_pitch,
+    standstills,
+    undulation,
+)
 from smts_validate.pipeline.fusion.known import prepare
+from smts_validate.pipeline.fusion.settings import ROUGH, SLOPE
 from smts_validate.pipeline.twin_plan import TwinPlan, preset
 from smts_validate.pipeline.wheels import wheel_motions
 from smts_validate.sensors.manifest import Machine, parse
@@ -28,6 +40,14 @@ def preset_machine() -> Machine:
     return parse(RUN_TOML).machine
 
 
+def gauss_markov(n: int, step: float, rng: np.random.Generator) -> np.ndarray:
+    """A series (n,) of unit variance, correlated over 1 s."""
+    keep = math.exp(-step)
+    drive = math.sqrt(1.0 - keep**2) * rng.standard_normal(n)
+    drive[0] = rng.standard_normal()
+    return np.asarray(lfilter([1.0], [1.0, -keep], drive))
+
+
 def across(plan: TwinPlan, slope: float) -> TwinPlan:
     """The plan on ground that rises by `slope` to the left of its row."""
     heading = math.radians(plan.place.heading_deg)
@@ -36,36 +56,93 @@ def across(plan: TwinPlan, slope: float) -> TwinPlan:
     )
 
 
-@pytest.mark.parametrize(
-    "heading",
-    [0.3, 2.0, -3.0],
-)
-def test_a_cross_slope_that_two_bodies_read_is_as_large_as_beyond_their_biases(heading: float) -> None:
+def read(heading: float, rolls: tuple[float, ...], biases: tuple[float, ...]) -> list[Leaning]:
+    """What two bodies' accelerometers read on a straight row."""
     yaw = np.full(3000, heading)
-    bias1, bias2, read1, read2 = 0.02, 0.015, 0.050, 0.058
+    return [leaning(yaw, np.full(3000, r), b, 60.0) for r, b in zip(rolls, biases, strict=True)]
+
+
+def told(bodies: list[Leaning]) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient by all readings, the tractor's too, and its covariance; what a filter makes of it."""
+    slope = ground_slope(epochs(np.zeros(1), np.zeros(1), 0.0, 0.0, 1.0), bodies)
+    information = np.linalg.inv(slope.covariance) + bodies[0].matrix
+    vector = np.linalg.solve(slope.covariance, slope.gradient) + bodies[0].vector
+    np.testing.assert_allclose(np.linalg.inv(information), slope.known, rtol=1e-6, atol=1e-12)
+    return np.linalg.solve(information, vector), slope.known + slope.doubt
+
+
+@pytest.mark.parametrize("heading", [0.3, 2.0, -3.0])
+def test_a_cross_slope_far_beyond_the_biases_is_taken_as_read(heading: float) -> None:
+    gradient, covariance = told(read(heading, (0.080, 0.088), (0.02, 0.015)))
+    left = np.array([-math.sin(heading), math.cos(heading)])
     lean = 0.02**2 * 2.0 / 60.0  # rough ground, mean over 60 s
-    bodies = [
-        leaning(yaw, np.full(3000, read1), bias1, 60.0),
-        leaning(yaw, np.full(3000, read2), bias2, 60.0),
-    ]
-    # the weighted mean of two readings, and its variance; a wide prior hardly shrinks it
-    weights = np.array([1.0 / (bias1**2 + lean), 1.0 / (bias2**2 + lean)])
-    mean, variance = weights @ [read1, read2] / weights.sum(), 1.0 / weights.sum()
-    assert sloping(bodies) == pytest.approx(math.sqrt(mean**2 - variance), rel=0.03)
+    weights = np.array([1.0 / (0.02**2 + lean), 1.0 / (0.015**2 + lean)])
+    variance = 1.0 / weights.sum()
+    assert left @ gradient == pytest.approx(weights @ [0.080, 0.088] * variance, rel=0.1)
+    assert left @ covariance @ left == pytest.approx(variance, rel=0.4)
 
 
-def test_readings_within_the_biases_say_nothing_of_the_slope() -> None:
-    yaw = np.full(3000, 1.0)
-    assert sloping([leaning(yaw, np.full(3000, 0.015), 0.02, 60.0)]) == 0.0
-    assert sloping([]) == 0.0
+def test_readings_within_the_biases_leave_a_field_as_level_as_fields_are() -> None:
+    gradient, covariance = told(read(1.0, (0.015, 0.010), (0.02, 0.015)))
+    assert np.hypot(*gradient) < 0.005
+    assert (
+        math.sqrt(np.array([-math.sin(1.0), math.cos(1.0)]) @ covariance @ [-math.sin(1.0), math.cos(1.0)])
+        < 0.015
+    )
 
 
 def test_a_slope_that_changes_sides_with_the_heading_is_told_from_a_bias() -> None:
     yaw = np.concatenate([np.zeros(1500), np.full(1500, math.pi)])
-    slope = np.where(yaw == 0.0, 0.05, -0.05)
-    there_and_back = sloping([leaning(yaw, slope + 0.02, 0.02, 60.0)])
-    assert there_and_back == pytest.approx(0.05, rel=0.02)
-    assert sloping([leaning(yaw, np.full(3000, 0.05), 0.02, 60.0)]) < 0.005
+    both = leaning(yaw, np.where(yaw == 0.0, 0.05, -0.05) + 0.02, 0.02, 60.0)
+    assert told([both])[0][1] == pytest.approx(0.05, rel=0.03)
+    assert abs(told([leaning(yaw, np.full(3000, 0.05), 0.02, 60.0)])[0][1]) < 0.002
+
+
+def test_slopes_drawn_as_steep_as_fields_are_lie_within_their_stated_doubt() -> None:
+    """Simulation-based calibration: steepness, slope, biases and rough ground from their priors."""
+    rng = np.random.default_rng(8)
+    biases, normalised = (0.02, 0.0145), []
+    for _ in range(3000):
+        steep = SLOPE * math.tan(rng.uniform() * math.atan(STEEPEST / SLOPE))
+        slope = steep * rng.standard_normal()
+        rolls = tuple(
+            slope + b * rng.standard_normal() + math.sqrt(rough_mean(60.0)) * rng.standard_normal()
+            for b in biases
+        )
+        gradient, covariance = told(read(0.0, rolls, biases))
+        normalised.append((gradient[1] - slope) / math.sqrt(covariance[1, 1]))
+    assert 0.93 < np.mean(np.abs(normalised) < 1.96) < 0.975
+    assert 0.85 < np.mean(np.square(normalised)) < 1.15
+
+
+def test_pitch_on_rough_ground_is_as_level_as_the_track_from_end_to_end() -> None:
+    rng = np.random.default_rng(2)
+    means, rolls = [], []
+    for _ in range(400):
+        # a track whose slope has the deviation ROUGH and 1 s of correlation: heights are stationary, 60 s are driven
+        height = ROUGH * gauss_markov(3001, 0.02, rng)
+        means.append((height[-1] - height[0]) / 60.0)
+        rolls.append(np.mean(ROUGH * gauss_markov(3001, 0.02, rng)))
+    assert np.std(means) == pytest.approx(math.sqrt(rough_pitch(60.0, np.zeros(0))), rel=0.15)
+    assert np.std(rolls) == pytest.approx(math.sqrt(rough_mean(60.0)), rel=0.15)
+    assert rough_pitch(60.0, np.array([60.0])) == pytest.approx(ROUGH**2)
+
+
+def test_a_way_that_stands_is_rest() -> None:
+    way = np.concatenate([np.zeros(250), np.linspace(0.01, 50.0, 1000), np.full(100, 50.0)])
+    assert standstills(way, 0.02) == pytest.approx([5.0, 2.0], abs=0.03)
+
+
+def test_altitudes_of_a_float_solution_are_no_slope() -> None:
+    t = np.arange(0.0, 60.0, 0.02)
+    fixed = epochs(t, 2.5 * t, 0.8, 0.01, 0.011)
+    fixed = replace(fixed, z=0.01 * 2.5 * fixed.t)
+    loose = fixed.t > 45.0
+    worse = replace(fixed, z=fixed.z + 0.4 * loose, sd=np.where(loose, 0.2, 0.011), fixed=~loose)
+    plain, mixed = ground_slope(fixed), ground_slope(worse)
+    np.testing.assert_allclose(mixed.gradient, plain.gradient, atol=0.001)
+    left = np.array([-math.sin(0.8), math.cos(0.8)])
+    assert left @ mixed.covariance @ left < 1.3 * (left @ plain.covariance @ left)
 
 
 @pytest.mark.parametrize("slope", [-0.05, 0.03])
@@ -148,6 +225,8 @@ def test_a_turn_on_a_plane_keeps_the_slope_that_loads_the_tyres() -> None:
     x = np.zeros((n, s.SIZE))
     x[:, s.YAW1] = yaw
     x[:, s.ROLL], x[:, s.PITCH] = 0.05 * np.cos(yaw), -0.05 * np.sin(yaw)  # ground that rises northwards
-    crab = slope_crab(Smoothed(x, np.zeros((n, len(s.KEPT), len(s.KEPT)))), preset_machine())
-    assert crab[:, 0] == pytest.approx(crab[0, 0] * np.cos(yaw), rel=1e-6, abs=1e-9)
-    assert abs(crab[0, 0]) > 0.1 * DEG
+    crab = slope_crab(Smoothed(x, np.zeros((n, len(s.KEPT), len(s.KEPT)))), preset_machine(), 0.01**2)
+    assert crab[:, 0, 0] == pytest.approx(crab[0, 0, 0] * np.cos(yaw), rel=1e-2, abs=1e-5)
+    assert abs(crab[0, 0, 0]) > 0.1 * DEG
+    # and of the slope's own deviation as much as of a slope of that size
+    assert crab[0, :, 1] == pytest.approx(0.01 / 0.05 * np.abs(crab[0, :, 0]), rel=1e-2)
