@@ -1,4 +1,7 @@
-"""Many passes, then the campaign: find, plan, run over any `concurrent.futures.Executor`, sum up."""
+"""Many passes, then the campaign: find, plan, run over any `concurrent.futures.Executor`, sum up.
+
+What is slow to import is imported late: the workers get ready meanwhile.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .batch_campaign import summarise
 from .batch_executors import SerialExecutor, WorkerSlots, dask_executor
@@ -18,10 +21,11 @@ from .batch_find import CAMPAIGN, find, is_url, read_bytes
 from .batch_limits import Limits
 from .batch_loop import BatchRun, Watch, run_all
 from .batch_plan import Plan, Terms, plan
-from .batch_store import work_folder
-from .batch_task import Outcome, Task, run_task
-from .campaign_settings import CampaignSettings, read_settings
-from .run_settings import of_campaign
+from .batch_store import PASSES, work_folder
+from .batch_task import Outcome, Task, get_ready, run_task
+
+if TYPE_CHECKING:
+    from .campaign_settings import CampaignSettings
 
 
 @dataclass(frozen=True)
@@ -48,21 +52,28 @@ def run_batch(request: Request, watch: Watch, work: Callable[[Task], Outcome] = 
     if request.scheduler:
         request = absolute(request)
     found = find(request.paths, request.out)
-    campaign = read_campaign(request.campaign or found.campaign)
-    with work_folder(request.out) as folder:
-        terms = Terms(request.out, folder, of_campaign(campaign), request.resume, request.limits)
-        planned = plan(found.sources, terms)
-        with _executor(request, len(planned.tasks)) as (executor, slots):
+    executor, slots = _executor(request, len(found.sources))
+    with _dismissed_after(executor, request):
+        _start_workers(executor, min(slots, len(found.sources)), request)
+        campaign = read_campaign(request.campaign or found.campaign)
+        # Workers of our own must be gone before the folder that they write in is removed.
+        with work_folder(request.out) as folder, _dismissed_after(executor, request):
+            planned = plan(found.sources, _terms(request, folder, campaign))
             ran = _with_refused(run_all(planned.tasks, executor, slots, watch, work), planned)
             failed = {outcome.run for outcome in ran.failures}
             runs = tuple(task.run for task in planned.tasks if task.run not in failed)
             summary = _summary(request, ran)
             if request.summarise:
                 # A worker sums up: what it reads of the passes stays out of this process.
-                summary |= executor.submit(
-                    summarise, request.out, runs, summary["failures"], campaign
-                ).result()
+                arguments = (request.out, runs, summary["failures"], campaign)
+                summary |= executor.submit(summarise, *arguments).result()
             return summary
+
+
+def _terms(request: Request, folder: str, campaign: CampaignSettings) -> Terms:
+    from .run_settings import of_campaign
+
+    return Terms(request.out, folder, of_campaign(campaign), request.resume, request.limits)
 
 
 def absolute(request: Request) -> Request:
@@ -92,24 +103,37 @@ def _summary(request: Request, ran: BatchRun) -> dict[str, Any]:
     }
 
 
-@contextmanager
-def _executor(request: Request, tasks: int) -> Iterator[tuple[Executor, int]]:
+def _executor(request: Request, passes: int) -> tuple[Executor, int]:
     if request.scheduler:
-        executor, slots = dask_executor(request.scheduler)
-    elif request.workers == 0:
-        executor, slots = SerialExecutor(), 1
-    else:
-        slots = max(1, min(request.workers, tasks))
-        executor = WorkerSlots(slots)
+        return dask_executor(request.scheduler)
+    if request.workers == 0:
+        return SerialExecutor(), 1
+    slots = max(1, min(request.workers, passes))
+    return WorkerSlots(slots), slots
+
+
+def _start_workers(executor: Executor, count: int, request: Request) -> None:
+    """Have the workers import what they need while this process is still finding out what is to be done."""
+    if isinstance(executor, SerialExecutor):
+        return
+    nothing_stored = not is_url(request.out) and not (Path(request.out) / PASSES).is_dir()
+    for _ in range(count):
+        executor.submit(get_ready, nothing_stored or not request.resume)
+
+
+@contextmanager
+def _dismissed_after(executor: Executor, request: Request) -> Iterator[None]:
+    """Workers of our own leave with the block's end, those of a cluster stay."""
     try:
-        yield executor, slots
+        yield
     finally:
-        # Workers of our own leave at once, and must be gone before the folder that they write in is removed.
         executor.shutdown(wait=not request.scheduler, cancel_futures=True)
 
 
 def read_campaign(path: str | None) -> CampaignSettings:
     """The settings of a campaign.toml, on disk or behind a URL; the defaults without one."""
+    from .campaign_settings import read_settings
+
     if path is None or not is_url(path):
         return read_settings(None if path is None else Path(path))
     with tempfile.TemporaryDirectory(prefix="smts-") as folder:

@@ -6,12 +6,14 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .batch_find import join
 from .batch_store import PASSES, open_store
-from .batch_table import Row, row, write_rows
-from .campaign_settings import CampaignSettings
+
+if TYPE_CHECKING:  # their modules are slow to import, and the batch's parent does without
+    from .batch_table import Row
+    from .campaign_settings import CampaignSettings
 
 DOCUMENT = "campaign.json"
 TABLE = "campaign.parquet"
@@ -42,6 +44,7 @@ def summarise(
 
 def write_campaign(folder: Path, runs: Sequence[str], settings: CampaignSettings) -> Mapping[str, Any]:
     """campaign.json and campaign.parquet of the stored passes of a local OUT; gives the former's content."""
+    from .batch_table import write_rows
     from .campaign import read_record, summarise_campaign
     from .remake import remake_campaign
 
@@ -57,6 +60,7 @@ def write_campaign(folder: Path, runs: Sequence[str], settings: CampaignSettings
 def stored_row(folder: Path) -> Row:
     """The campaign table's row of one stored result."""
     from ..sensors.manifest import read
+    from .batch_table import row
 
     manifest, _ = read(folder / "run.toml")
     metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))

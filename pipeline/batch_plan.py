@@ -7,11 +7,14 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 
 from .batch_find import LOG_SUFFIX, MANIFEST, Source, is_url, join, read_text
 from .batch_limits import Limits
 from .batch_task import Outcome, Task
-from .run_settings import RunSettings
+
+if TYPE_CHECKING:
+    from .run_settings import RunSettings
 
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # it becomes a folder's name
 

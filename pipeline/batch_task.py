@@ -11,13 +11,15 @@ from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
 from time import monotonic, process_time
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from .batch_find import Source, filesystem, is_url
 from .batch_limits import LimitReached, Limits, limited
 from .batch_store import Store, open_store
 from .batch_warm import compiled_once
-from .run_settings import RunSettings
+
+if TYPE_CHECKING:
+    from .run_settings import RunSettings
 
 Status = Literal["done", "unchanged", "failed"]
 BLOCK = 1 << 20
@@ -48,6 +50,14 @@ class Outcome:
     discrepancy: dict[str, float | None] = field(default_factory=dict)
     seconds: float = 0.0
     cpu_seconds: float = 0.0
+
+
+def get_ready(computing: bool) -> None:
+    """Import what a worker needs for its first task; computing: also what computes a pass, which takes long."""
+    from . import run_settings  # noqa: F401
+
+    if computing:
+        from . import run  # noqa: F401
 
 
 def run_task(task: Task) -> Outcome:

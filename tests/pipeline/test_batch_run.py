@@ -9,10 +9,14 @@ import time
 from concurrent.futures import Future
 from pathlib import Path
 
+import batch_killed
 import batch_samples
+import psutil
 import pytest
+from smts_validate.pipeline import batch
 from smts_validate.pipeline.batch_executors import SerialExecutor, WorkerSlots
 from smts_validate.pipeline.batch_loop import InterruptedBatch, Progress, run_all
+from smts_validate.pipeline.campaign_settings import CampaignError
 
 
 def test_each_pass_is_counted_once_and_failures_are_listed_by_run() -> None:
@@ -129,3 +133,19 @@ def test_a_pass_blamed_for_workers_that_another_killed_is_cleared_by_running_alo
 def test_a_slot_count_below_one_is_refused() -> None:
     with pytest.raises(ValueError, match="at least one"):
         WorkerSlots(0)
+
+
+def test_a_campaign_file_that_is_refused_leaves_no_worker_and_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The workers are started before it is read."""
+    (tmp_path / "raw" / "one").mkdir(parents=True)
+    (tmp_path / "raw" / "one" / "run.toml").write_text("", encoding="utf-8")
+    (tmp_path / "raw" / "campaign.toml").write_text("alfa = 0.05\n", encoding="utf-8")
+    monkeypatch.setattr(batch, "get_ready", batch_killed.nothing)
+    before = set(psutil.Process().children())
+    request = batch.Request((str(tmp_path / "raw"),), str(tmp_path / "out"), workers=2)
+    with pytest.raises(CampaignError, match="alfa"):
+        batch.run_batch(request, lambda progress: None)
+    assert set(psutil.Process().children()) <= before
+    assert not (tmp_path / "out").exists()
