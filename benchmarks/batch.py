@@ -2,8 +2,10 @@
 
     python benchmarks/batch.py [--passes 24] [--seconds 60] [--workers 2]
 
-Synthetic raw passes are made first (not counted), and one is run so that compiled code is cached.
-Efficiency = time with one worker / (workers × time with that many).
+Synthetic raw passes are made first (not counted), and one is run so that compiled code is cached. To hold it to
+two cores: `taskset -c 0,1 python benchmarks/batch.py`.
+Efficiency = time with one worker / (workers × time with that many). CPU seconds: of computing the passes, and of
+all processes (imports, campaign, Dask's own) over the passes.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -18,10 +21,15 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
+from smts_validate.pipeline.cores import cores
+
 COMMAND = [sys.executable, "-m", "smts_validate.pipeline.cli"]
-NO_PROFILER = {
-    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"
-}  # as docs/howto-cluster.md starts workers
+FEWER_CHORES = {  # as docs/howto-cluster.md starts scheduler and workers
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+    "DASK_DISTRIBUTED__WORKER__MEMORY__MONITOR_INTERVAL": "1s",
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+}
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 CAMPAIGN = """
 seed = 1
@@ -35,10 +43,11 @@ row_length = {length}
 
 @dataclass(frozen=True)
 class Timing:
-    """One batch: wall seconds of the whole command, CPU seconds of its passes, verdicts."""
+    """One batch: wall seconds of the whole command, CPU seconds of its passes and of all processes."""
 
     wall: float
     cpu: float
+    cpu_of_all: float
     passes: int
 
 
@@ -54,19 +63,26 @@ def make_passes(folder: Path, passes: int, seconds: float) -> None:
     )
 
 
+def cpu_so_far() -> float:
+    """CPU seconds of this process and all its descendants, ended ones too."""
+    ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+    alive = sum(sum(child.cpu_times()[:4]) for child in psutil.Process().children(recursive=True))
+    return time.process_time() + ended.ru_utime + ended.ru_stime + alive
+
+
 def run(raw: Path, out: Path, *options: str) -> Timing:
     """One batch from the command line."""
-    begin = time.perf_counter()
+    begin, cpu = time.perf_counter(), cpu_so_far()
     command = [*COMMAND, "batch", str(raw), "-o", str(out), "--json", *options]
     ran = subprocess.run(
         command, capture_output=True, text=True, env={**os.environ, **ONE_THREAD}, check=False
     )
-    wall = time.perf_counter() - begin
+    wall, cpu = time.perf_counter() - begin, cpu_so_far() - cpu
     events = [json.loads(line) for line in ran.stdout.splitlines()]
     done = [event for event in events if event["event"] == "done"]
     if ran.returncode != 0 or not done:
         sys.exit(f"the batch failed: {ran.stderr.strip()} {[e.get('reason') for e in events]}")
-    return Timing(wall, sum(event["cpu_seconds"] for event in done), len(done))
+    return Timing(wall, sum(event["cpu_seconds"] for event in done), cpu, len(done))
 
 
 def report(name: str, workers: int, timing: Timing, alone: Timing) -> None:
@@ -74,7 +90,8 @@ def report(name: str, workers: int, timing: Timing, alone: Timing) -> None:
     efficiency = alone.wall / (workers * timing.wall)
     print(
         f"{name:<24}{timing.wall:8.1f} s{60.0 * timing.passes / timing.wall:9.1f} passes/min"
-        f"{timing.cpu / timing.passes:8.2f} CPU s/pass   efficiency {efficiency:.2f}"
+        f"{timing.cpu / timing.passes:8.2f} CPU s/pass ({timing.cpu_of_all / timing.passes:.2f} with all else)"
+        f"   efficiency {efficiency:.2f}"
     )
 
 
@@ -87,7 +104,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="length of a pass")
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
-    os.environ.update(ONE_THREAD | NO_PROFILER)  # before Dask is imported: it reads its settings then
+    os.environ.update(ONE_THREAD | FEWER_CHORES)  # before Dask is imported: it reads its settings then
     from distributed import LocalCluster
 
     with tempfile.TemporaryDirectory(prefix="smts-bench-") as name:
@@ -96,7 +113,9 @@ def main() -> None:
         raw = folder / "raw"
         first = next(path for path in sorted(raw.iterdir()) if (path / "run.toml").is_file())
         run(first, folder / "warm", "-j", "1")
-        print(f"{asked.passes} passes of {asked.seconds:g} s, whole command with campaign and reports")
+        print(
+            f"{asked.passes} passes of {asked.seconds:g} s on {cores()} cores, whole command with campaign and reports"
+        )
         alone = run(raw, folder / "one", "-j", "1")
         report("1 process", 1, alone, alone)
         several = run(raw, folder / "several", "-j", str(asked.workers))
