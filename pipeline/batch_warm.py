@@ -9,6 +9,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
+from .kernels_beside import kernels_beside
+
 Value = TypeVar("Value")
 CACHE = Path(__file__).parent / "__pycache__"  # where numba puts its own
 
@@ -29,6 +31,8 @@ def compiled_once(digest: str, work: Callable[[], Value], good: Callable[[Value]
         return work()
     with _alone(marker.with_suffix(".lock")) as locked:
         if locked and not marker.exists():
+            with kernels_beside() as compiled:
+                compiled()  # the others are waiting: their cores are free
             value = work()
             if good(value):
                 _mark(marker)

@@ -122,13 +122,14 @@ def run(
     as_json: bool,
 ) -> None:  # fmt: skip
     """Run the whole chain for one pass: LOG is an MCAP log or a raw pass's folder."""
+    from .kernels_beside import kernels_beside
     from .report_beside import reports_beside
 
-    with reports_beside(figures) as finish:
+    with kernels_beside() as compiled, reports_beside(figures) as finish:
         from . import console
         from .run import run_to_folder
 
-        summary = run_to_folder(log, out, manifest, engine, finish, progress)
+        summary = run_to_folder(log, out, manifest, engine, finish, progress, compiled)
     emit(summary, as_json, console.ran)
     _leave_unless_adequate(require_adequate, summary["verdict"]["value"])
 
