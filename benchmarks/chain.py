@@ -3,11 +3,13 @@
     python benchmarks/chain.py [PASS_FOLDER]
 
 The first run compiles what the disk cache does not hold yet. Wall seconds, and seconds of CPU in all threads.
-Last, as processes of their own and warm: the imports alone, and the whole command.
+Last, as processes of their own: warm, the imports alone and the whole command; then the whole command on two cores and
+on four where nothing is compiled, and once more after that.
 """
 
 from __future__ import annotations
 
+import os
 import resource
 import subprocess
 import sys
@@ -57,11 +59,26 @@ def stages(folder: Path) -> dict[str, Seconds]:
     return found
 
 
-def process(*arguments: str) -> Seconds:
-    """Seconds of a Python process from its start to its end."""
+def process(*arguments: str, compiled: str | None = None) -> Seconds:
+    """Seconds of a Python process and its children from its start to its end.
+
+    compiled : folder of compiled code; the usual one where it is not given
+    """
+    environment = os.environ if compiled is None else {**os.environ, "NUMBA_CACHE_DIR": compiled}
     begin, used = time.perf_counter(), _used()
-    subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL, env=environment)
     return time.perf_counter() - begin, _used() - used
+
+
+def on_few_cores(count: int, *arguments: str) -> tuple[Seconds, Seconds]:
+    """A process on so many of this machine's cores with nothing compiled, and the same once more."""
+    before = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, sorted(before)[:count])
+        with tempfile.TemporaryDirectory() as compiled:
+            return process(*arguments, compiled=compiled), process(*arguments, compiled=compiled)
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 def _used() -> float:
@@ -88,6 +105,10 @@ def main() -> None:
         for name, arguments in (("process: imports", ("-c", IMPORTS)), ("process: smts-validate run", whole)):
             wall, cpu = best(lambda arguments=arguments: process(*arguments))
             print(f"{name:30s} {wall:6.2f} s, CPU {cpu:6.2f} s")
+        for count in (2, 4):
+            if count <= len(os.sched_getaffinity(0)):
+                cold, warm = ("{:6.2f} s, CPU {:6.2f} s".format(*of) for of in on_few_cores(count, *whole))
+                print(f"{f'the same on {count} cores':30s} not compiled {cold}   compiled {warm}")
 
 
 if __name__ == "__main__":
