@@ -54,16 +54,17 @@ def _flat(value: Any, name: str) -> Iterator[tuple[str, Any]]:
 def write_rows(path: Path, rows: Sequence[Any], read: Any) -> None:
     """Write a Parquet file with a row for each item of `rows`, made by `read(item)`.
 
-    The rows are read twice, once for the columns and once for the values, and never held together.
+    More rows than a group holds are read twice, once for the columns and once for the values, and never held
+    together.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    schema = _schema(read(item) for item in rows)
+    known = [read(item) for item in rows] if len(rows) <= ROWS_A_GROUP else None
+    schema = _schema((read(item) for item in rows) if known is None else known)
     with pq.ParquetWriter(path, schema, compression="zstd") as writer:
-        waiting = iter(rows)
-        while group := list(islice(waiting, ROWS_A_GROUP)):
-            values = [read(item) for item in group]
+        waiting = (read(item) for item in rows) if known is None else iter(known)
+        while values := list(islice(waiting, ROWS_A_GROUP)):
             columns = {
                 name: [_as(value.get(name), schema.field(name).type) for value in values]
                 for name in schema.names

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -213,11 +214,16 @@ def summarise_campaign(
     length than the campaign's; each with its reason.
     """
     kept, excluded = sort_out(records, settings)
-    variants = list(dict.fromkeys(r.manifest.run.variant for r in kept))
-    by_variant = {v: [r for r in kept if r.manifest.run.variant == v] for v in variants}
-    verdicts = {v: judge_campaign(_statistics(rs), settings.rules) for v, rs in by_variant.items()}
-    effects = effects_table(kept, settings.alpha)
-    cells = tuple(cell_values(kept, settings.alpha))
+    names = dict.fromkeys(r.manifest.run.variant for r in kept)
+    by_variant = {v: [r for r in kept if r.manifest.run.variant == v] for v in names}
+    with ThreadPoolExecutor(1) as beside:  # compiled code, which other code need not wait for
+        ensembles = {v: beside.submit(version_ensemble, rs) for v, rs in by_variant.items()}
+        verdicts = {v: judge_campaign(_statistics(rs), settings.rules) for v, rs in by_variant.items()}
+        effects = effects_table(kept, settings.alpha)
+        cells = tuple(cell_values(kept, settings.alpha))
+        variants = {v: variant_values(verdicts[v], rs, settings, seed) for v, rs in by_variant.items()}
+    for variant, values in variants.items():
+        values["ensemble"] = ensembles[variant].result()
     document = {
         "schema": 1,
         "run": settings.title or "campaign",
@@ -227,7 +233,7 @@ def summarise_campaign(
         "warnings": unknown_exclusions(records, settings),
         "health": {},
         "settings": {**asdict(settings), "exclude": dict(settings.exclude)},
-        "variants": {v: variant_values(verdicts[v], rs, settings, seed) for v, rs in by_variant.items()},
+        "variants": variants,
         "cells": list(cells),
         "effects": [asdict(e) for e in effects],
         "excluded": [asdict(e) for e in excluded],
@@ -305,14 +311,13 @@ def worst_discrepancy(verdicts: Mapping[str, Verdict]) -> dict[str, Any]:
 def variant_values(
     verdict: Verdict, records: Sequence[PassRecord], settings: CampaignSettings, seed: int
 ) -> dict[str, Any]:
-    """One version: verdict, headline, each response with its bounds, and the operating curve."""
+    """One version without its ensemble: verdict, headline, responses with bounds, operating curve."""
     return {
         "verdict": verdict_values(verdict),
         "discrepancy": discrepancy_values(verdict.responses),
         "responses": {n: asdict(j) for n, j in verdict.responses.items()},
         "passes": [r.run for r in records],
         "spectra": version_spectra([r.tracks for r in records], [r.acceleration for r in records]),
-        "ensemble": version_ensemble(records),
         "operating_curve": [asdict(p) for p in operating_curve(_statistics(records), settings.rules, seed)],
     }
 
