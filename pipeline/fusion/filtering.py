@@ -278,28 +278,43 @@ def forward(
 
 
 @summing
-def absorb(lam: Floats, Lam: Floats, H: Floats, K: Floats, S: float, nu: float, n: int) -> None:
-    """Adjoint state and covariance back through one scalar update: (I − KH)ᵀ on both sides, plus HᵀH/S."""
-    LK = np.zeros(SIZE)
+def absorb(
+    lam: Floats, Lam: Floats, H: Floats, K: Floats, S: float, nu: float, LK: Floats, seen: Ints, n: int
+) -> None:
+    """Adjoint state and covariance back through one scalar update: (I − KH)ᵀ on both sides, plus HᵀH/S.
+
+    LK (SIZE,), seen (SIZE,) : scratch
+    """
     s = 0.0
     kl = 0.0
-    for j in range(n):  # Lam is symmetric: by rows
-        for i in range(n):
-            LK[i] += Lam[j, i] * K[j]
-        kl += K[j] * lam[j]
-    for i in range(n):
-        s += K[i] * LK[i]
+    count = 0
+    for i in range(n):  # Lam is symmetric: by rows
+        row = Lam[i]
+        v = 0.0
+        for j in range(n):
+            v += row[j] * K[j]
+        LK[i] = v
+        s += K[i] * v
+        kl += K[i] * lam[i]
+        if H[i] != 0.0:
+            seen[count] = i
+            count += 1
     weight = 1.0 / S + s
+    drawn = nu / S + kl
+    for e in range(count):
+        i = seen[e]
+        h = H[i]
+        row = Lam[i]
+        for j in range(n):
+            row[j] -= h * LK[j]
+        for c in range(count):
+            row[seen[c]] += h * weight * H[seen[c]]
+        lam[i] -= h * drawn
     for i in range(n):
-        if H[i] == 0.0:
-            continue
-        lam[i] -= H[i] * (nu / S + kl)
-        for j in range(n):
-            Lam[i, j] -= H[i] * LK[j]
-            Lam[j, i] -= LK[j] * H[i]
-        for j in range(n):
-            if H[j] != 0.0:
-                Lam[i, j] += H[i] * H[j] * weight
+        row = Lam[i]
+        v = LK[i]
+        for c in range(count):
+            row[seen[c]] -= v * H[seen[c]]
 
 
 @part
@@ -333,22 +348,22 @@ def retreat(lam: Floats, Lam: Floats, F: Floats, A: Floats, B: Floats, n: int) -
 
 
 @summing
-def kept_covariance(P: Floats, Lam: Floats, out: Floats, n: int) -> None:
-    """Rows and columns KEEP of P − P·Lambda·P."""
-    k = KEEP.size
-    A = np.zeros((k, SIZE))
-    for a in range(k):
-        i = KEEP[a]
+def kept_covariance(P: Floats, Lam: Floats, A: Floats, out: Floats, n: int) -> None:
+    """Rows and columns KEEP of P − P·Lambda·P. A : scratch."""
+    for a in range(KEEP.size):
+        row = A[a]
+        for j in range(n):
+            row[j] = 0.0
         for m in range(n):
-            f = P[i, m]
-            if f != 0.0:
-                for j in range(n):
-                    A[a, j] += f * Lam[m, j]
-    for a in range(k):
+            f = P[KEEP[a], m]
+            other = Lam[m]
+            for j in range(n):
+                row[j] += f * other[j]
         for b in range(a + 1):
+            other = P[KEEP[b]]
             v = P[KEEP[a], KEEP[b]]
             for m in range(n):
-                v -= A[a, m] * P[KEEP[b], m]
+                v -= row[m] * other[m]
             out[a, b] = v
             out[b, a] = v
 
@@ -377,6 +392,7 @@ def backward(
     lam = np.zeros(SIZE)
     Lam = np.zeros((SIZE, SIZE))
     P = np.zeros((SIZE, SIZE))
+    LK, seen = np.empty(SIZE), np.empty(SIZE, dtype=np.int64)
     n = int(p[P_ACTIVE])
     F, A, B = np.eye(SIZE), np.empty((SIZE, SIZE)), np.empty((SIZE, SIZE))
     last = out_x.shape[0] - 1
@@ -391,7 +407,7 @@ def backward(
         for j in range(n):  # P is symmetric: by rows
             for i in range(SIZE):
                 smooth_x[k, i] -= P[j, i] * lam[j]
-        kept_covariance(P, Lam, smooth_P[k], n)
+        kept_covariance(P, Lam, A, smooth_P[k], n)
         for m in range(starts[k + 1] - 1, starts[k] - 1, -1):
             if used[m]:
-                absorb(lam, Lam, H[m], K[m], S[m], nu[m], n)
+                absorb(lam, Lam, H[m], K[m], S[m], nu[m], LK, seen, n)
