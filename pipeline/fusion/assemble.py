@@ -73,7 +73,8 @@ def assemble(
     )
     place = output.place_doubt(p, ground_variance(task), roll, steep)
     machine = known.log.manifest.machine
-    slide, constant = slope_crab(smooth, machine, min(across, roll) + steep), constant_crab(machine, levels)
+    slope, constant = cross_slope(smooth, min(across, roll) + steep), constant_crab(machine, levels)
+    slide = slope_crab(slope, machine)
     crab = crab_at(t + lag, known.t, slide, constant)
     tractor = output.tractor_motion(at, p, crab[0], lateral1, place)
     seeder = output.seeder_motion(at, p, crab[1], lateral2, place) if known.two is not None else None
@@ -85,7 +86,8 @@ def assemble(
     given = choose_steer_input(known.log, t + lag, wheels)
     bend = tractor.yaw - seeder.yaw if seeder is not None else np.zeros(t.size)
     front = known.log.manifest.machine.tractor.front_axle
-    best = best_steering(t, tractor, given, front, levels.beta1, bend)
+    tilted = (np.interp(t + lag, known.t, slope[0]), np.interp(t + lag, known.t, slope[1]))
+    best = best_steering(t, tractor, given, front, levels.beta1, bend, tilted)
     given, told = with_honest_zero(given, best.angle)
     consistency = assess(task.measurements, filtered)
     gnss_t = accepted_times(task, filtered)
@@ -140,14 +142,11 @@ def constant_crab(machine: Machine, levels: Levels) -> tuple[float, float]:
     return float(crab[0]), float(crab[1])
 
 
-def slope_crab(smooth: Smoothed, machine: Machine, variance: float = 0.0) -> Floats:
+def slope_crab(slope: tuple[Floats, Floats], machine: Machine) -> Floats:
     """Crab (N, 2, 2), rad, of tractor and seeder that tyres as soft as `compliances` have under the weight's part along
-    the ground: by the ground's cross slope, and by that slope's deviation.
-
-    It turns both uphill. variance : rad², of the mean cross slope
-    """
-    slope = np.column_stack(cross_slope(smooth, variance))
-    return np.asarray(GRAVITY * slope[:, None, :] * np.array(compliances(machine))[:, None])
+    the ground: by its cross slope (N,), rad, and by that slope's deviation. It turns both uphill."""
+    both = np.column_stack(slope)
+    return np.asarray(GRAVITY * both[:, None, :] * np.array(compliances(machine))[:, None])
 
 
 def cross_slope(smooth: Smoothed, variance: float) -> tuple[Floats, Floats]:

@@ -130,8 +130,8 @@ def ground_slope(e: Epochs, bodies: Sequence[Leaning] = ()) -> Slope:
     field = steepness(all_of, vector + sum((b.vector for b in bodies), np.zeros(2)))
     for body in bodies[1:]:
         information, vector = information + body.matrix, vector + body.vector
-    covariance: Floats = np.linalg.inv(information + field.prior)
-    known: Floats = np.linalg.inv(all_of + field.prior)
+    covariance = np.asarray(np.linalg.inv(information + field.prior), dtype=np.float64)
+    known = np.asarray(np.linalg.inv(all_of + field.prior), dtype=np.float64)
     return Slope(covariance @ vector, covariance, known, field.doubt)
 
 

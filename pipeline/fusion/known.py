@@ -44,7 +44,7 @@ class Known:
 
     speed : (N,) m/s over ground, NaN where unknown; forwards : (N,) 1 or -1; yaw : approximate, (N,) each;
     bias : (4,) mean gyro readings at rest (tractor x, y, z, seeder z), None without a rest
-    offset : m/s², deviation of a unit's lateral accelerometer offset where the manifest states none
+    offset : m/s², deviation of an accelerometer's horizontal offset where the manifest states none
     ground : measurements of the ground's slope at those headings; neither levels nor the clocks' lag change them
     azimuths : kind, nodes, rad, variance of magnetometers that prove consistent; magnetic : of each magnetometer why it
     is not used ("" where it is), and the deviation of a reading, rad
@@ -194,7 +194,7 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
     )  # fmt: skip
     x0[s.LAG] = lag
     if not any(u.accel_bias for u in known.log.manifest.of_kind("imd").values() if u.body == "tractor"):
-        P0[s.BAY, s.BAY] = known.offset**2
+        P0[s.BAX, s.BAX] = P0[s.BAY, s.BAY] = known.offset**2
     for kind, *_ in known.azimuths:
         constant = s.HEADING if kind == s.MAGNETIC1 else s.SEEDER_HEADING
         P0[constant, constant] = problem.AZIMUTH_FREE**2

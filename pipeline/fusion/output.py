@@ -253,9 +253,9 @@ def place_doubt(p: Floats, level: float, roll: float, steep: float = 0.0) -> Pla
     bias. A turn shows the gyros where the vertical is, but against the unit, not the body.
 
     level, roll : variances (rad²) of the mean roll without turning, and as smoothed
-    steep : variance (rad²) of the mean roll without turning by the field's steepness being unknown
+    steep : variance (rad²) of the mean roll by the field's steepness being unknown, as far as no turn tells it
     """
     height = p[s.P_ANT_Z] + p[s.P_SWAY]
     without = min(roll / max(level, 1e-12), 1.0)
     ahead = math.hypot(physics.LEVER_SD, (1.0 - without) * physics.MOUNT_SD * height)
-    return ahead, math.hypot(ahead, without * math.sqrt(steep) * height)
+    return ahead, math.hypot(ahead, math.sqrt(steep) * height)

@@ -128,8 +128,10 @@ def compliances(machine: Machine) -> tuple[float, float]:
     seeder, tyres = machine.seeder, machine.tyres.seeder
     if seeder is None or tyres is None:
         return physics.COMPLIANCE, physics.COMPLIANCE
-    on_axle = seeder.mass * seeder.hitch_to_com / (seeder.hitch_to_com + float(np.mean(seeder.axles)))
-    stated = on_axle / (2.0 * len(seeder.axles) * tyres.cornering_stiffness)
+    # about the hitch tyres and draft, which pulls against the way, hold the weight's part
+    holding = 2.0 * len(seeder.axles) * tyres.cornering_stiffness
+    arm = seeder.hitch_to_com + float(np.mean(seeder.axles))
+    stated = seeder.mass * seeder.hitch_to_com / (holding * arm + seeder.draft * seeder.hitch_to_com)
     return physics.COMPLIANCE, max(physics.COMPLIANCE, stated)
 
 

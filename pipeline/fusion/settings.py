@@ -56,7 +56,9 @@ class Levels:
 
 # Physical constants of the error models, each with its reason.
 TAU_SLIP = 1.0  # s: yaw and slip of a tractor settle within about a second
-COMPLIANCE = 0.02  # rad/(m/s²): axle load over cornering stiffness, about 2500 kg / (2 · 70 kN/rad)
+# rad/(m/s²): axle load over cornering stiffness, about 2500 kg / (2 · 70 kN/rad), known to a factor of 1.5: 19 of 20
+# lie under 1.96 times that
+COMPLIANCE = 0.0175
 COMPLIANCE_FAST = 0.01  # rad/(m/s²): what of it changes from second to second
 TAU_TURN = 10.0  # s: a headland turn's slip stays as long as the turn
 DRAG = 0.08  # rad/rad: draft across the tractor when it is bent, 10 kN over 2 · 90 kN/rad, times the hitch's lever

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from ...sensors.manifest import GRAVITY
 from . import settings as physics
 from .motion import BodyMotion, SteerInput
 
@@ -26,6 +27,7 @@ FRONT_SHARE = (
 )
 LEAST_SLIP = 0.001  # rad: of any tyre on soil
 FRONT_TIME = 1.0  # s, correlation of the front wheels' slip
+UNDERSTEER = 0.01  # rad/(m/s²): front over rear compliance, each 0.018 known to a factor of 1.5
 FRONT_DRAG = 0.03  # rad/rad: 10 kN of draft over 2 · 60 kN/rad, times the hitch's overhang over the wheelbase
 CRAB = 0.1  # share of the slip that stays all along a row, unseen, as for the bodies
 INTEGRATED_SCALE = physics.GYRO_SCALE * math.sqrt(2.0)  # rad/rad turned: the wheels' gyros less the body's
@@ -48,10 +50,11 @@ class Steering:
 @dataclass(frozen=True)
 class Errors:
     """Model of z = given − path at 2 Hz as a sum of Gauss-Markov errors: (slow error, zero, scale, slip, slip of a
-    turn).
+    turn, slip by the ground's slope, and by its deviation).
 
-    decay, drive : (M, 5) of the step that ends at each sample; start : (5,) variances; white : variance;
-    seen : (M, 5), by how much each is in z: the scale error of integrated gyros by the angle turned
+    decay, drive : (M, 7) of the step that ends at each sample; start : (7,) variances; white : variance;
+    seen : (M, 7), by how much each is in z: the scale error of integrated gyros by the angle turned, a slope's slip by
+    the slope
     """
 
     decay: Floats
@@ -69,6 +72,7 @@ class Difference:
     series' slow error, of the slip that a lateral acceleration makes, and of a turn's; path : (M,) rad², of the path;
     memory : s, of the slow error; zero : rad; fast : rad, white error of the given series
     turned : (M,) rad, by how much the body has turned; scale : deviation of the given series' error by that, rad/rad
+    slope : (M, 2) m/s², gravity's part along the ground to the right, and its deviation
     """
 
     dt: float
@@ -82,25 +86,21 @@ class Difference:
     fast: float
     turned: Floats
     scale: float
+    slope: Floats
 
     def errors(self, slip: float, time: float) -> Errors:
         """The model where the front wheels slip by `slip` rad on a straight row, correlated over `time` s."""
-        size = np.column_stack(
-            [
-                self.slow,
-                np.zeros(self.z.size),
-                np.zeros(self.z.size),
-                np.sqrt((slip + self.lateral) ** 2 + self.path),
-                self.turn,
-            ]
-        )
-        decay = np.tile(
-            np.exp(-self.dt / np.array([self.memory, np.inf, np.inf, time, FRONT_TIME])), (self.z.size, 1)
-        )
+        none = np.zeros(self.z.size)
+        fast = np.sqrt((slip + self.lateral) ** 2 + self.path)
+        size = np.column_stack([self.slow, none, none, fast, self.turn, none, none])
+        times = np.array([self.memory, np.inf, np.inf, time, FRONT_TIME, np.inf, np.inf])
+        decay = np.tile(np.exp(-self.dt / times), (self.z.size, 1))
         decay[self.turn > 0.0, 4] = np.exp(-self.dt / physics.TAU_TURN)
-        start = size[0] ** 2 + [0.0, self.zero**2, self.scale**2, 0.0, 0.0] + 1e-14
-        seen = np.ones((self.z.size, 5))
-        seen[:, 2] = self.turned
+        start = (
+            size[0] ** 2 + np.square([0.0, self.zero, self.scale, 0.0, 0.0, UNDERSTEER, UNDERSTEER]) + 1e-14
+        )
+        seen = np.ones((self.z.size, 7))
+        seen[:, 2], seen[:, 5:] = self.turned, self.slope
         return Errors(decay, size**2 * (1.0 - decay**2) + 1e-14, start, WHITE**2 + self.fast**2, seen)
 
     def cut(self, first: int, last: int) -> Difference:
@@ -108,7 +108,7 @@ class Difference:
         part = slice(first, last)
         return replace(
             self, z=self.z[part], slow=self.slow[part], lateral=self.lateral[part], turn=self.turn[part],
-            path=self.path[part], turned=self.turned[part],
+            path=self.path[part], turned=self.turned[part], slope=self.slope[part],
         )  # fmt: skip
 
 
@@ -212,15 +212,19 @@ def _least(loss: Callable[[float], float], reach: float) -> float:
 
 
 def best_steering(
-    t: Floats, body: BodyMotion, given: SteerInput | None, front_axle: float, beta: float, bend: Floats
-) -> Steering:
+    t: Floats, body: BodyMotion, given: SteerInput | None, front_axle: float, beta: float, bend: Floats,
+    slope: tuple[Floats, Floats] | None = None,
+) -> Steering:  # fmt: skip
     """Steering angle and its standard deviation, rad (N,), by everything; NaN where nothing is known.
 
     The given series errs by a zero, a slow Gauss-Markov error and a fast rest; the kinematic angle errs by the
-    front wheels' slip: a fast one, learnt from the two series' difference, and one that lasts as long as a turn.
+    front wheels' slip: a fast one, learnt from the two series' difference, one that lasts as long as a turn, and on a
+    slope what front and rear tyres give way unalike under the weight's part along it.
 
     beta : rad, slip angle of the rear wheels; bend : (N,) rad, articulation (zeros without a seeder)
+    slope : (N,) rad, of the ground across the path, and its deviation; None: level
     """
+    downhill = GRAVITY * np.column_stack(slope) if slope is not None else np.zeros((t.size, 2))
     path = kinematic_angle(body, front_axle)
     lateral = physics.COMPLIANCE_FAST * np.abs(body.v * body.yaw_rate)
     stated, turn = path_variance(body, front_axle), turn_slip(body, bend)
@@ -229,7 +233,8 @@ def best_steering(
     stated, turn = stated - stays, np.sqrt(turn**2 + stays)
     prior = max(FRONT_SHARE * beta, LEAST_SLIP)
     if given is None:
-        sd = np.sqrt((prior + lateral) ** 2 + stated + turn**2)
+        tilted = UNDERSTEER**2 * np.sum(downhill**2, axis=1)
+        sd = np.sqrt((prior + lateral) ** 2 + stated + turn**2 + tilted)
         return Steering(path, np.where(np.isnan(path), np.nan, sd), prior, False)
     k = np.arange(0, t.size, EVERY)
     dt = EVERY * (t[1] - t[0]) if t.size > 1 else 1.0
@@ -238,7 +243,7 @@ def best_steering(
     apart = Difference(
         dt, (given.angle - path)[k], slow[k], lateral[k], turn[k], stated[k], max(given.correlation_time, 1e-3),
         given.zero_sd, float(np.mean(fast[k])), (body.yaw - np.median(body.yaw))[k],
-        INTEGRATED_SCALE if given.source == "wheels" else 0.0,
+        INTEGRATED_SCALE if given.source == "wheels" else 0.0, downhill[k],
     )  # fmt: skip
     slip, time, learnt = learnt_slip(apart, prior)
     error, variance = smooth_error(apart.z, apart.errors(slip, time))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from smts_validate.pipeline.fusion.epochs import Epochs
-from smts_validate.pipeline.fusion.offsets import Reading, along, offset_sd, risen, upwards
+from smts_validate.pipeline.fusion.offsets import FACTOR, Reading, along, offset_sd, risen, upwards
 from smts_validate.pipeline.fusion.settings import ACCEL_BIAS, MOUNT_SD
 from smts_validate.sensors.manifest import GRAVITY
 
@@ -74,7 +74,7 @@ def test_offsets_drawn_from_the_prior_are_as_large_as_is_said() -> None:
     rng = np.random.default_rng(4)
     mount, normalised = GRAVITY * MOUNT_SD, []
     for _ in range(4000):
-        size = ACCEL_BIAS * math.exp(math.log(2.0) * rng.standard_normal())
+        size = ACCEL_BIAS * math.exp(math.log(FACTOR) * rng.standard_normal())
         up, ahead = size * rng.standard_normal(2)
         ahead += mount * rng.standard_normal()
         readings = [

@@ -10,7 +10,7 @@ import pytest
 from fusion_samples import changed, errors, make, rms
 from scipy.signal import lfilter
 from smts_validate.pipeline.fusion import state as s
-from smts_validate.pipeline.fusion.assemble import slope_crab
+from smts_validate.pipeline.fusion.assemble import cross_slope, slope_crab
 from smts_validate.pipeline.fusion.engine_compiled import Smoothed
 from smts_validate.pipeline.fusion.epochs import Epochs
 from smts_validate.pipeline.fusion.fuse import fuse
@@ -225,7 +225,8 @@ def test_a_turn_on_a_plane_keeps_the_slope_that_loads_the_tyres() -> None:
     x = np.zeros((n, s.SIZE))
     x[:, s.YAW1] = yaw
     x[:, s.ROLL], x[:, s.PITCH] = 0.05 * np.cos(yaw), -0.05 * np.sin(yaw)  # ground that rises northwards
-    crab = slope_crab(Smoothed(x, np.zeros((n, len(s.KEPT), len(s.KEPT)))), preset_machine(), 0.01**2)
+    slope = cross_slope(Smoothed(x, np.zeros((n, len(s.KEPT), len(s.KEPT)))), 0.01**2)
+    crab = slope_crab(slope, preset_machine())
     assert crab[:, 0, 0] == pytest.approx(crab[0, 0, 0] * np.cos(yaw), rel=1e-2, abs=1e-5)
     assert abs(crab[0, 0, 0]) > 0.1 * DEG
     # and of the slope's own deviation as much as of a slope of that size

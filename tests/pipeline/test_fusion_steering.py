@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from smts_validate.pipeline.fusion.motion import BodyMotion, SteerInput
-from smts_validate.pipeline.fusion.steering import Steering, best_steering
+from smts_validate.pipeline.fusion.steering import UNDERSTEER, Steering, best_steering
+from smts_validate.sensors.manifest import GRAVITY
 
 DEG = np.pi / 180.0
 AXLE = 1.45
@@ -83,3 +84,30 @@ def test_without_wheels_and_sensor_the_slip_of_the_front_wheels_is_the_doubt() -
     assert best.slip >= 0.002  # the front tyres, narrower and steered, slip at least as much as the rear ones
     standing = best_steering(t, body_of(np.zeros(t.size), 0.1), None, AXLE, 0.002, np.zeros(t.size))
     assert np.isnan(standing.sd).all()
+
+
+def sloping(seed: int, there_and_back: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Error of the best angle and its deviation on a cross slope of 5 % where front tyres give way more or less."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 60.0, STEP)
+    slope = np.where(t < 30.0, 0.05, -0.05 if there_and_back else 0.05)
+    understeer = UNDERSTEER * rng.standard_normal()
+    true = gauss_markov(t.size, 0.5 * DEG, 1.5, rng)
+    noise, zero_sd = 0.02 * DEG, 1.0 * DEG
+    given = SteerInput(
+        true + zero_sd * rng.standard_normal() + noise * rng.standard_normal(t.size), np.full(t.size, noise), 0.0,
+        zero_sd, 0.0, "sensor",
+    )  # fmt: skip
+    slipping = gauss_markov(t.size, 0.1 * DEG, 1.0, rng) + understeer * GRAVITY * slope
+    tilted = (slope, np.full(t.size, 0.001))
+    best = best_steering(t, body_of(true - slipping, 2.5), given, AXLE, 0.002, np.zeros(t.size), tilted)
+    return best.angle - true, best.sd
+
+
+def test_on_a_slope_the_angle_errs_by_what_front_tyres_give_way_more_and_says_so() -> None:
+    ratio = [np.mean((error / sd) ** 2) for error, sd in (sloping(seed, False) for seed in range(40))]
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.5)
+    one_way = np.median([sd for _, sd in (sloping(seed, False) for seed in range(5))])
+    both_ways = np.median([sd for _, sd in (sloping(seed, True) for seed in range(5))])
+    assert both_ways < 0.3 * one_way  # the slope changes sides with the heading, a zero does not
+    assert np.median([np.std(error) for error, _ in (sloping(seed, True) for seed in range(5))]) < 0.1 * DEG

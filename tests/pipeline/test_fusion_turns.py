@@ -70,10 +70,11 @@ def test_a_heavy_seeder_on_soft_tyres_slips_as_its_axle_load_says() -> None:
     assert machine.tyres.seeder is not None
     soft = machine.tyres.seeder.model_copy(update={"cornering_stiffness": 2.0e4})
     heavy = machine.model_copy(update={"tyres": machine.tyres.model_copy(update={"seeder": soft})})
-    # moments about the hitch: axle force · (l5 + l6) = m·a·l5, by all of the axles' tyres
+    # moments about the hitch at slip angle β: tyres' 2·n·C·β·(l5 + l6) and the draft's part aside, F·β·l5, hold m·a·l5
     l5, axles = machine.seeder.hitch_to_com, machine.seeder.axles
-    force = machine.seeder.mass * l5 / (l5 + sum(axles) / len(axles))
-    assert problem.compliances(heavy)[1] == pytest.approx(force / (2 * len(axles) * 2.0e4))
+    slip = problem.compliances(heavy)[1]
+    tyres = 2 * len(axles) * 2.0e4 * slip * (l5 + sum(axles) / len(axles))
+    assert tyres + machine.seeder.draft * slip * l5 == pytest.approx(machine.seeder.mass * l5)
     assert problem.compliances(heavy)[0] == settings.COMPLIANCE
     stiff = machine.tyres.seeder.model_copy(update={"cornering_stiffness": 1.0e7})
     firm = machine.model_copy(update={"tyres": machine.tyres.model_copy(update={"seeder": stiff})})
