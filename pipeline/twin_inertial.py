@@ -77,7 +77,7 @@ def draw_errors(plan: ErrorPlan, rate: float, rng: np.random.Generator) -> UnitE
     return UnitErrors(
         misalignment_deg=normal(plan.misalignment_deg),
         gyro_bias=normal(GYRO_BIAS * plan.bias_scale),
-        accel_bias=normal(ACCEL_BIAS * plan.bias_scale),
+        accel_bias=normal(ACCEL_BIAS * plan.bias_scale if plan.accel_bias is None else plan.accel_bias),
         gyro_scale=normal(SCALE_ERROR * plan.bias_scale),
         accel_scale=normal(SCALE_ERROR * plan.bias_scale),
         hard_iron=normal(HARD_IRON),

@@ -147,7 +147,8 @@ class ErrorPlan:
     """How good the sensors are: 1 sigma of what is constant in a pass, and the level of the rest.
 
     misalignment_deg: of a unit against its stated mounting, about each axis. bias_scale, noise_scale:
-    multiply the data-sheet figures of `twin_inertial`. wheel_radius: relative doubt of each wheel's
+    multiply the data-sheet figures of `twin_inertial`; accel_bias: accelerometers' offset instead of that figure's
+    multiple, m/s². wheel_radius: relative doubt of each wheel's
     radius. lever_arm: doubt of each coordinate of a unit's stated place, m. roll_centre_*: height above
     ground of the axis a body rolls about; None: through its CoM. steer_*: the steering sensor's zero and
     noise. soft_iron: share of the field that iron near a magnetometer bends aside; current_field: T, of motors
@@ -156,6 +157,7 @@ class ErrorPlan:
 
     misalignment_deg: float = 0.2
     bias_scale: float = 1.0
+    accel_bias: float | None = None
     noise_scale: float = 1.0
     vibration: float = 1.0
     wheel_radius: float = 0.012

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import tempfile
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from smts_validate.pipeline.fusion.assemble import CRAB
+from smts_validate.pipeline.fusion.ground import STEEPEST
 from smts_validate.pipeline.fusion.motion import BodyMotion, Motion, Origin
+from smts_validate.pipeline.fusion.offsets import FACTOR
+from smts_validate.pipeline.fusion.settings import ACCEL_BIAS, LEVER_SD, SLOPE
 from smts_validate.pipeline.twin import make_pass, write_raw
 from smts_validate.pipeline.twin_plan import TwinPlan, preset, with_value
 from smts_validate.sensors.geodesy import to_enu
@@ -17,6 +22,9 @@ from smts_validate.sensors.streams import FieldLog, GnssStream
 
 PLACE = (50.041266, 36.485128, 148.5)
 SETTLED = 2.0  # s left out at both ends
+KINDS = ("benign", "bad_sensors", "outage", "headland")
+AXLES = ("front", "rear", "seeder")
+STIFFNESS = 0.4  # of the logarithm: cornering stiffness on soil is known to a factor of 1.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +41,40 @@ def changed(plan: TwinPlan, **values: object) -> TwinPlan:
     for key, value in values.items():
         plan = with_value(plan, key.replace("__", "."), value)
     return plan
+
+
+def plan_of(seed: int, slope: float | None = None, pulls: bool = True) -> tuple[str, TwinPlan]:
+    """A seed's kind of pass and its plan, with all that the fusion only doubts drawn from the doubt that it states.
+
+    slope : deviation of the ground's gradient, None: drawn; pulls : whether the weight's part along it pulls aside
+    """
+    rng = np.random.default_rng(seed)
+    kind = KINDS[seed % len(KINDS)]
+    heading, east, north, steep = rng.uniform(-180.0, 180.0), *rng.standard_normal(2), rng.uniform()
+    offset = ACCEL_BIAS * FACTOR ** rng.standard_normal()
+    if slope is None:  # half-Cauchy, as far as fields are sown
+        slope = SLOPE * math.tan(steep * math.atan(STEEPEST / SLOPE))
+    plan = changed(
+        preset(kind),
+        place__heading_deg=float(heading),
+        soil__slope_east=float(east * slope),
+        soil__slope_north=float(north * slope),
+        soil__weight_pulls=pulls,
+        errors__lever_arm=LEVER_SD,
+        errors__accel_bias=float(offset),
+    )
+    stiffer = np.exp(STIFFNESS * rng.standard_normal(3))
+    tyres = {f"tyres.{axle}.cornering_stiffness": float(f) for axle, f in zip(AXLES, stiffer, strict=True)}
+    tractor, seeder = np.degrees(lasting_crab(plan) * rng.standard_normal(2))
+    plan = changed(plan, soil__crab_tractor_deg=float(tractor), soil__crab_seeder_deg=float(seeder))
+    return kind, dataclasses.replace(plan, truth={**plan.truth, **tyres})
+
+
+def lasting_crab(plan: TwinPlan) -> np.ndarray:
+    """Deviations (2,), rad, of the tractor's and the seeder's crab: the share of their slip that stays along a row."""
+    front, rear, seeder = (plan.machine["tyres"][axle]["cornering_stiffness"] for axle in AXLES)
+    forces = np.array([plan.soil.side_force_tractor, plan.soil.side_force_seeder])
+    return CRAB * forces / (2.0 * np.array([front + rear, seeder]))
 
 
 def make(plan: TwinPlan, seed: int) -> Sample:
