@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import batch_samples
 import dask
+import psutil
 import pytest
-from distributed import LocalCluster
+from distributed import Client, LocalCluster
 from smts_validate.pipeline.batch_executors import ClusterError, dask_executor
 from smts_validate.pipeline.batch_loop import Progress, run_all
 
@@ -25,7 +27,12 @@ def cluster() -> Iterator[Any]:
         yield running
 
 
-def test_a_cluster_runs_every_pass_once_in_its_own_processes(cluster: Any) -> None:
+def cluster_pids(cluster: Any) -> set[int]:
+    with Client(cluster.scheduler_address, set_as_default=False) as client:
+        return set(client.run(os.getpid).values())
+
+
+def test_a_cluster_runs_every_pass_once_in_a_process_that_each_worker_keeps_for_it(cluster: Any) -> None:
     executor, slots = dask_executor(cluster.scheduler_address)
     assert slots == 2
     seen: list[Progress] = []
@@ -33,7 +40,10 @@ def test_a_cluster_runs_every_pass_once_in_its_own_processes(cluster: Any) -> No
     with executor:
         result = run_all(tasks, executor, slots, watch=seen.append, work=batch_samples.succeed)
     assert result.done == 12
-    assert len({progress.last.verdict for progress in seen if progress.last}) == 2
+    computed_in = {int(progress.last.verdict) for progress in seen if progress.last}
+    workers = cluster_pids(cluster)
+    assert len(computed_in) == len(workers) == 2
+    assert {psutil.Process(pid).ppid() for pid in computed_in} == workers
 
 
 def test_equal_submissions_all_run(cluster: Any, tmp_path: Path) -> None:
