@@ -330,7 +330,9 @@ def test_stated_deviations_cover_the_error_over_two_hundred_twins() -> None:
             squares.setdefault(name, []).append(float(np.mean((error / sd) ** 2)))
     coverage = {name: float(np.mean(values)) for name, values in inside.items()}
     # 93 to 97 %; a pass's error is nearly one draw (slope, slow GNSS error), so two standard errors of so many passes
-    low, high = (p + 2.0 * sign * math.sqrt(p * (1.0 - p) / passes) for p, sign in ((0.93, -1.0), (0.97, 1.0)))
+    low, high = (
+        p + 2.0 * sign * math.sqrt(p * (1.0 - p) / passes) for p, sign in ((0.93, -1.0), (0.97, 1.0))
+    )
     for name in ("lateral1", "along1", "yaw1", "lateral2", "along2", "yaw2", "steer"):
         assert low < coverage[name] < high, coverage
         assert 0.4 < np.mean(squares[name]) < 1.6, name  # deviations twice or half as large give 0.25 and 4
