@@ -189,7 +189,7 @@ def bound(case: Case) -> Bound:
     level = (task.node_inputs[:, s.N_ROLL2], task.node_inputs[:, s.N_PITCH2])
     P = posterior(task, case.path)
     at = output.at_utc(task.t, m.t, lag, case.path, P, level)
-    place = LEVER_SD
+    place = (LEVER_SD, LEVER_SD)
     if case.mounting:
         roll = float(np.median(P[:, output.K_ROLL, output.K_ROLL]))
         place = output.place_doubt(task.parameters, ground_variance(task), roll)
