@@ -28,7 +28,7 @@ def substeps(s: Floats, p: Floats, h: float, largest_rate: float) -> int:
     return 1 + int(h * min(fastest, 1e6) / largest_rate)
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def finish_step(
     t: float, h: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats, change: Floats,
     tables: Tables, options: Options, step: float, u: Floats, k: Floats, trial: Floats,
@@ -50,7 +50,7 @@ def finish_step(
         s[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def fixed_span(
     t: float, h: float, s: Floats, size: int, p: Floats, driver: Floats, memory: Floats, change: Floats,
     tables: Tables, options: Options, u: Floats, k: Floats, trial: Floats,
@@ -68,7 +68,7 @@ def fixed_span(
         )  # fmt: skip
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def start_slips(s: Floats, p: Floats, u: Floats) -> None:
     """Slip states of the first instant: the slip angles of rolling without relaxation."""
     s1, c1, s2, c2 = math.sin(s[YAW1]), math.cos(s[YAW1]), math.sin(s[YAW2]), math.cos(s[YAW2])
@@ -106,7 +106,7 @@ def write_sample(s: Floats, rate: Floats, mean: float, sample: Floats) -> None:
     sample[at.STEER] = mean
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def begin(
     initial: Floats, p: Floats, driver: Floats, change: Floats, tables: Tables, h: float, memory: Floats,
     s: Floats, u: Floats,
@@ -121,7 +121,7 @@ def begin(
     start_slips(s, p, u)
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def run(
     initial: Floats, p: Floats, driver: Floats, change: Floats, tables: Tables, options: Options,
     h: float, every: int, memory: Floats, out: Floats,

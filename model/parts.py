@@ -1,4 +1,8 @@
-"""How numbers are compiled: kernels that Python calls (numba's own `njit`), and the parts that only kernels call."""
+"""How numbers are compiled: kernels that Python calls (numba's own `njit`), and the parts that only kernels call.
+
+What a kernel calls in one place only is pasted into it before compiling (`inline="always"`): each function of its own,
+and each level of calls, is one more to compile. What it calls in several places is a `part`.
+"""
 
 from __future__ import annotations
 

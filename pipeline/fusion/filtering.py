@@ -45,7 +45,7 @@ def transpose(A: Floats, out: Floats, n: int) -> None:
             out[j, i] = A[i, j]
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def propagate(P: Floats, F: Floats, q: Floats, A: Floats, B: Floats, n: int) -> None:
     """F·P·Fᵀ + diag(q) in place: rows only, F·(F·P)ᵀ, as P is symmetric. A, B : scratch (SIZE, SIZE)."""
     times_transition(F, P, A, n)
@@ -55,7 +55,7 @@ def propagate(P: Floats, F: Floats, q: Floats, A: Floats, B: Floats, n: int) -> 
         P[i, i] += q[i]
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def carry(F: Floats, x: Floats, point: Floats, there: Floats) -> None:
     """F·(x − point) added to `there` in place, skipping the structural zeros of F."""
     for i in range(SIZE):
@@ -83,7 +83,7 @@ def gain(P: Floats, H: Floats, var: float, K: Floats, n: int) -> float:
     return S
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def correct(x: Floats, P: Floats, K: Floats, S: float, innovation: float, n: int) -> None:
     """x + K·innovation and P − K·S·Kᵀ in place; products of two gains commute, so P stays symmetric."""
     for i in range(n):
@@ -92,7 +92,7 @@ def correct(x: Floats, P: Floats, K: Floats, S: float, innovation: float, n: int
             P[i, j] -= S * (K[i] * K[j])
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def expected(kind: int, x: Floats, point: Floats, node: Floats, ahead: float, p: Floats, H: Floats) -> float:
     """h(point) + H·(x − point): the measurement expected at x, linearised at `point`; fills H."""
     value = predict(kind, point, node, ahead, p, H)
@@ -113,7 +113,7 @@ def shared(P: Floats, H: Floats, a: int, b: int) -> float:
     return total
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def distance(P: Floats, H: Floats, nu: Floats, var: Floats, m: int, count: int) -> float:
     """Squared Mahalanobis distance of one or two scalar innovations from one linearisation (rows of H).
 
@@ -126,7 +126,7 @@ def distance(P: Floats, H: Floats, nu: Floats, var: Floats, m: int, count: int) 
     return (c * nu[0] * nu[0] - 2.0 * b * nu[0] * nu[1] + a * nu[1] * nu[1]) / (a * c - b * b)
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def is_pair(kind: int) -> bool:
     """Whether this kind is the first of an east-north pair."""
     found = False
@@ -135,7 +135,7 @@ def is_pair(kind: int) -> bool:
     return found
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def is_given(kind: int) -> bool:
     """Whether this kind is mechanics, not a reading: the hitch and standing still have no outliers to refuse.
 
@@ -144,7 +144,7 @@ def is_given(kind: int) -> bool:
     return kind == HITCH or STILL_V <= kind <= STILL_AX
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def update_node(
     x: Floats,
     P: Floats,
@@ -331,7 +331,7 @@ def times_adjoint(F: Floats, A: Floats, out: Floats, n: int) -> None:
             out[i, j] += f * A[m, j]
 
 
-@part
+@njit(cache=True, error_model="numpy", inline="always")
 def retreat(lam: Floats, Lam: Floats, F: Floats, A: Floats, B: Floats, n: int) -> None:
     """Adjoint state and covariance back through one step: Fᵀ·lambda and Fᵀ·Lambda·F. A, B : scratch."""
     a = np.empty(SIZE)
