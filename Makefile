@@ -55,7 +55,7 @@ $(VENV)/.installed-all: pyproject.toml constraints.txt | $(BIN)/python
 
 # Compiled code is kept on disk beside the sources: made here, so that the first run is as quick as the next.
 $(VENV)/.compiled: | $(VENV)/.installed-run
-	@echo "compiling (once, about half a minute)"; mkdir -p build
+	@echo "compiling (once)"; mkdir -p build
 	@$(BIN)/smts-validate run data_samples/field1 -o build/compiled >build/compiled.log 2>&1 || { cat build/compiled.log; exit 1; }
 	touch $@
 

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ...model.machine import GRAVITY
 from ...model.parts import part
-from ...sensors.manifest import GRAVITY
 from .settings import BEND_FROM, DRAG, TAU_TURN, TURN_FROM
 from .state import (
     ACCEL_Y,
