@@ -122,14 +122,18 @@ def run(
     as_json: bool,
 ) -> None:  # fmt: skip
     """Run the whole chain for one pass: LOG is an MCAP log or a raw pass's folder."""
-    from .kernels_beside import kernels_beside
-    from .report_beside import reports_beside
+    from .kernels_beside import absent, kernels_beside
+    from .report_beside import nothing, reports_beside
 
-    with kernels_beside() as compiled, reports_beside(figures) as finish:
+    missing = absent()
+    with (
+        kernels_beside(missing) as compiled,
+        reports_beside(figures, compiled if missing else nothing) as (before, finish),
+    ):
         from . import console
         from .run import run_to_folder
 
-        summary = run_to_folder(log, out, manifest, engine, finish, progress, compiled)
+        summary = run_to_folder(log, out, manifest, engine, finish, progress, before)
     emit(summary, as_json, console.ran)
     _leave_unless_adequate(require_adequate, summary["verdict"]["value"])
 

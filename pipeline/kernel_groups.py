@@ -91,15 +91,14 @@ def lesser() -> Kernels:
     ]
 
 
-# By the last kernel of each, as `package/module.function`. Longest first; the last group borrows code on disk from
-# those before it.
+# By the last kernel of each, as `package/module.function`. Longest first.
 GROUPS: Mapping[str, Callable[[], Kernels]] = {
     "model/_integrators.run_batch": model_runs,
     "pipeline/fusion/filtering.forward": forward_filter,
+    "model/_linear.straight_jacobian": lesser,
     "pipeline/fusion/filtering.backward": smoother,
     "pipeline/fusion/draws_kernels.simulate": draws_forward,
     "pipeline/fusion/draws_kernels.smooth": draws_backward,
-    "model/_linear.straight_jacobian": lesser,
 }
 
 

@@ -30,7 +30,7 @@ def kernels_beside(
 
     kernels : one of each group, as `on_disk` takes them; work : compiles the group of one
     """
-    missing = [kernel for kernel in kernels if not on_disk(kernel)]
+    missing = absent(kernels)
     helpers = min(cores() - 1, len(missing) - 1, MOST_HELPERS)
     if helpers < 1:
         yield lambda: _lend_a_hand(missing, {}, work)
@@ -55,6 +55,11 @@ def _lend_a_hand(
         if kernel not in under_way or under_way[kernel].cancel():
             work(kernel)
     wait([future for future in under_way.values() if not future.cancelled()], PATIENCE)
+
+
+def absent(kernels: Iterable[str] = GROUPS) -> list[str]:
+    """Those that are not on disk."""
+    return [kernel for kernel in kernels if not on_disk(kernel)]
 
 
 def on_disk(kernel: str) -> bool:

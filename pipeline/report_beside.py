@@ -12,22 +12,36 @@ from .batch_executors import WorkerSlots
 from .cores import cores
 from .garbage import seldom_collected
 
+Work = Callable[[], None]
 Finish = Callable[[Path], None]
 
 
-@contextmanager
-def reports_beside(figures: bool = False) -> Iterator[Finish]:
-    """What makes the log and the reports of a result's folder, for `write_result`; its process ends with the block.
+def nothing() -> None:
+    """In place of work."""
 
-    figures : whether each figure is also left as files. On a single core it is this process that makes them.
+
+@contextmanager
+def reports_beside(figures: bool = False, after: Work = nothing) -> Iterator[tuple[Work, Finish]]:
+    """A function to call before the pass is computed, and what makes the log and the reports of a result's folder.
+
+    The second is for `write_result`. The process ends with the block. On a single core it is this one that makes them.
+
+    figures : whether each figure is also left as files
+    after : done by the first function, which then has the process get ready; without it, it does so from the start
     """
     if cores() < 2:
-        yield partial(make_reports, figures=figures)
+        yield after, partial(make_reports, figures=figures)
         return
     slots = WorkerSlots(1)
-    try:
+
+    def before() -> None:
+        after()
         slots.submit(get_ready)
-        yield partial(_made_by, slots, figures=figures)
+
+    try:
+        if after is nothing:
+            before()
+        yield (nothing if after is nothing else before), partial(_made_by, slots, figures=figures)
     finally:
         slots.shutdown(wait=False)
 

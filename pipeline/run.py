@@ -124,18 +124,18 @@ def run_to_folder(
     engine: str = "compiled",
     finish: Callable[[Path], None] | None = None,
     say: Say = silent,
-    compiled: Callable[[], None] | None = None,
+    before: Callable[[], None] | None = None,
 ) -> dict[str, Any]:
     """Run one pass into `out` (results/<run.id> by default); the head of its metrics, and its report.
 
     engine : of the fusion, "compiled" or "filterpy"
     finish : makes log and reports of the result's folder; None: this process makes them
-    compiled : returns when the kernels are there; None: each is compiled where it is called, unless it is on disk
+    before : done between reading and computing, such as compiling what is not on disk
     """
     say(f"reading {source}")
     log = read_source(source, manifest)
-    if compiled is not None:
-        compiled()
+    if before is not None:
+        before()
     folder = Path("results") / log.manifest.run.id if out is None else out
     result = run_pass(log, with_engine(RunSettings(), engine), say)
     say("writing the reports")

@@ -20,7 +20,7 @@ def test_another_process_makes_the_same_bytes(tmp_path: Path, monkeypatch: pytes
     result = samples.pass_result()
     here = write_result(tmp_path / "here", result, report.finish)
     monkeypatch.setattr(report_beside, "cores", lambda: 2)
-    with reports_beside() as finish:
+    with reports_beside() as (_, finish):
         beside = write_result(tmp_path / "beside", result, finish)
     names = {path.name for path in here.iterdir()}
     assert names == {path.name for path in beside.iterdir()}
@@ -33,7 +33,7 @@ def test_an_error_of_the_reports_arrives_and_leaves_no_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(report_beside, "cores", lambda: 2)
-    with reports_beside() as finish:
+    with reports_beside() as (_, finish):
 
         def without_metrics(folder: Path) -> None:
             (folder / METRICS).unlink()
@@ -46,7 +46,7 @@ def test_an_error_of_the_reports_arrives_and_leaves_no_result(
 
 def test_a_killed_process_costs_no_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report_beside, "cores", lambda: 2)
-    with reports_beside() as finish:
+    with reports_beside() as (_, finish):
         for child in children_once_there():
             child.kill()
         out = write_result(tmp_path / "out", samples.pass_result(), finish)
@@ -67,10 +67,19 @@ def test_the_process_ends_with_the_block_also_when_the_pass_is_refused(
 def test_a_single_core_makes_the_reports_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report_beside, "cores", lambda: 1)
     monkeypatch.setattr(report_beside, "WorkerSlots", none_wanted)
-    with reports_beside(figures=True) as finish:
+    with reports_beside(figures=True) as (_, finish):
         out = write_result(tmp_path / "out", samples.pass_result(), finish)
     assert (out / "report.pdf").is_file()
     assert any((out / "figures").glob("*.svg"))
+
+
+def test_what_must_come_first_is_done_before_the_process_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report_beside, "cores", lambda: 2)
+    seen: list[int] = []
+    with reports_beside(after=lambda: seen.append(len(psutil.Process().children()))) as (before, _):
+        before()
+        assert seen == [0]
+        assert len(children_once_there()) == 1
 
 
 def none_wanted(count: int) -> WorkerSlots:
