@@ -46,9 +46,9 @@ class Child:
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:
         ours, theirs = Pipe(duplex=True)
         with theirs:
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", START, json.dumps(sys.path)], stdin=theirs.fileno(), env=environment
-            )
+            # -P: a json.py or signal.py in the working folder is not what START imports
+            command = [sys.executable, "-P", "-c", START, json.dumps(sys.path)]
+            self._process = subprocess.Popen(command, stdin=theirs.fileno(), env=environment)
         self._pipe = ours
 
     def run(self, work: Work[Value]) -> Value:

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from functools import partial
+from pathlib import Path
 
 import psutil
 import pytest
@@ -102,6 +103,20 @@ def test_one_that_is_killed_or_ended_over_its_work_is_told_as_lost() -> None:
         other.run(partial(time.sleep, 600))
     child.wait()
     other.wait()
+
+
+def test_modules_in_the_working_folder_do_not_stand_for_pythons_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("json", "signal"):
+        (tmp_path / f"{name}.py").write_text("raise ImportError('not the one that was meant')")
+    monkeypatch.chdir(tmp_path)
+    child = one_child()
+    try:
+        assert child.run(partial(pow, 3, 2)) == 9
+    finally:
+        child.end()
+        child.wait()
 
 
 def test_a_worker_at_work_leaves_with_its_killed_parent() -> None:
