@@ -51,6 +51,9 @@ def _made_by(slots: WorkerSlots, folder: Path, figures: bool) -> None:
         slots.submit(make_reports, folder, figures).result()
     except BrokenExecutor:  # killed, for want of memory say: the pass is not lost for that
         make_reports(folder, figures)
+    except KeyboardInterrupt:  # it must be gone before the folder that it writes in is removed
+        slots.shutdown()
+        raise
 
 
 def get_ready() -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
 import time
 from pathlib import Path
 
@@ -14,6 +17,7 @@ from smts_validate.pipeline.report_beside import reports_beside
 from smts_validate.pipeline.result import METRICS, ResultError, write_result
 
 PATIENCE = 20.0  # s
+PROCESS = "process"  # file that names the one at work
 
 
 def test_another_process_makes_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,6 +57,26 @@ def test_a_killed_process_costs_no_report(tmp_path: Path, monkeypatch: pytest.Mo
     assert (out / "report.html").stat().st_size > 0
 
 
+def test_when_interrupted_the_process_is_gone_before_the_folder_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report_beside, "cores", lambda: 2)
+    monkeypatch.setattr(report_beside, "make_reports", take_forever)
+    with reports_beside() as (_, finish):
+
+        def interrupted(folder: Path) -> None:
+            threading.Thread(target=interrupt_once_there, args=(folder / PROCESS,)).start()
+            try:
+                finish(folder)
+            finally:
+                with pytest.raises(ProcessLookupError):
+                    os.kill(int((folder / PROCESS).read_text()), 0)
+
+        with pytest.raises(KeyboardInterrupt):
+            write_result(tmp_path / "out", samples.pass_result(), interrupted)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_process_ends_with_the_block_also_when_the_pass_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -80,6 +104,21 @@ def test_what_must_come_first_is_done_before_the_process_is_started(monkeypatch:
         before()
         assert seen == [0]
         assert len(children_once_there()) == 1
+
+
+def take_forever(folder: Path, figures: bool) -> None:
+    """In place of making reports."""
+    (folder / "begun").write_text(str(os.getpid()))
+    (folder / "begun").rename(folder / PROCESS)
+    time.sleep(600.0)
+
+
+def interrupt_once_there(path: Path) -> None:
+    """As Ctrl-C does, once that file is there."""
+    until = time.monotonic() + PATIENCE
+    while not path.exists() and time.monotonic() < until:
+        time.sleep(0.02)
+    signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
 def none_wanted(count: int) -> WorkerSlots:
