@@ -78,6 +78,12 @@ def test_with_nothing_to_share_no_process_is_started(tmp_path, monkeypatch, core
     assert processes <= {os.getpid()}
 
 
+def test_where_numba_compiles_nothing_nothing_is_absent(monkeypatch):
+    assert beside.absent(KERNELS) == KERNELS
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    assert beside.absent(KERNELS) == []
+
+
 def test_helpers_that_are_killed_do_not_hold_the_command_up(tmp_path):
     with kernels_beside(KERNELS, die_in_helpers) as compiled:
         compiled()
