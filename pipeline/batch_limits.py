@@ -12,6 +12,7 @@ from pathlib import Path
 from time import monotonic
 
 LOOK_EVERY = 0.05  # s
+AGAIN = 2.0  # s between asking a pass to stop and asking it again
 GRACE = 20.0  # s between asking a pass to stop and ending its process
 
 
@@ -36,8 +37,9 @@ class LimitReached(BaseException):
 def limited(limits: Limits) -> Iterator[list[str]]:
     """Run a block under limits; raises LimitReached inside it. Yields a list that then holds the reason.
 
-    An exception is delivered between two bytecodes, so compiled code finishes its call first; a block that
-    does not end within GRACE seconds takes its process with it (the batch then sees a lost worker).
+    An exception is delivered between two bytecodes, so compiled code finishes its call first. Some libraries drop
+    any exception (one met while a weak reference goes, say): it is raised again every AGAIN seconds. A block that does
+    not end within GRACE seconds takes its process with it (the batch then sees a lost worker).
     """
     reasons: list[str] = []
     if not limits.any:
@@ -69,13 +71,18 @@ def _watch(
             break
     else:
         return
-    with lock:
-        if over.is_set():
+    asked = monotonic()
+    while monotonic() - asked < GRACE:
+        with lock:
+            if over.is_set():
+                return
+            reasons[:] = [reason]
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                ctypes.c_ulong(watched), ctypes.py_object(LimitReached)
+            )
+        if over.wait(AGAIN):
             return
-        reasons.append(reason)
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(watched), ctypes.py_object(LimitReached))
-    if not over.wait(GRACE):
-        os._exit(1)
+    os._exit(1)
 
 
 def _reason(limits: Limits, seconds: float) -> str:

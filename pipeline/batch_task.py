@@ -57,7 +57,9 @@ def get_ready(computing: bool) -> None:
     from . import run_settings  # noqa: F401
 
     if computing:
-        from . import run  # noqa: F401
+        import pandas  # noqa: F401  by pyarrow at its first array
+
+        from . import report, run  # noqa: F401
 
 
 def run_task(task: Task) -> Outcome:
@@ -83,6 +85,8 @@ def run_task(task: Task) -> Outcome:
 
 def _attempt(task: Task) -> tuple[Status, str, dict[str, Any]]:
     reasons: list[str] = []
+    if task.limits.any:
+        get_ready(computing=True)  # an import that a limit breaks off is lost to the passes after it
     try:
         with limited(task.limits) as reasons, _near(task.source) as source:
             return _unless_unchanged(task, source)

@@ -7,10 +7,12 @@ import json
 import os
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from smts_validate.pipeline import batch_limits
 from smts_validate.pipeline.batch_limits import LimitReached, Limits, limited, parse_bytes
 from smts_validate.pipeline.batch_store import open_store, work_folder
 
@@ -112,6 +114,24 @@ def _resident() -> int:
     from smts_validate.pipeline.batch_limits import resident_bytes
 
     return resident_bytes()
+
+
+def test_a_library_that_drops_the_exception_does_not_lift_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch_limits, "AGAIN", 0.2)
+
+    def drops_one() -> None:
+        with suppress(LimitReached):  # as C code does that cannot pass an exception on
+            _busy()
+        _busy()
+
+    with pytest.raises(LimitReached), limited(Limits(seconds=0.1)):
+        drops_one()
+
+
+def _busy() -> None:
+    until = time.monotonic() + 10.0
+    while time.monotonic() < until:
+        pass
 
 
 def test_a_pass_within_its_limits_is_left_alone() -> None:
