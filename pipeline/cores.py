@@ -6,7 +6,7 @@ import os
 
 
 def cores() -> int:
-    """Cores that this process may run on: a job's or a container's share of the machine where the system tells it."""
+    """Cores that this process may run on: a job's share of the machine where the system tells it, quotas apart."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -104,9 +104,8 @@ def compute(
 
 
 def _finish(folder: Path) -> None:
-    from .report import (
-        finish,
-    )  # late: where another process makes the reports, nothing of them is imported here
+    # Late: where another process makes the reports, nothing of them is imported here.
+    from .report import finish
 
     finish(folder)
 

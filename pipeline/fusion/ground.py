@@ -95,7 +95,6 @@ def steepness(information: Floats, vector: Floats) -> Steepness:
     A field's slopes are N(0, s²) in each direction, and s is unknown: half-Cauchy with the median SLOPE (Gelman 2006),
     weighed by the likelihood of the readings. In each of the readings' principal axes a slope of variance s² has the
     share m = s²/(s² + v) of what was read with variance v.
-
     """
     known, axes = np.linalg.eigh(information)
     known = np.maximum(known, 1.0 / UNKNOWN**2)

@@ -193,8 +193,7 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
         lag_sd(known.log), known.nodes, known.bias,
     )  # fmt: skip
     x0[s.LAG] = lag
-    if not any(u.accel_bias for u in known.log.manifest.of_kind("imd").values() if u.body == "tractor"):
-        P0[s.BAX, s.BAX] = P0[s.BAY, s.BAY] = known.offset**2
+    P0[s.BAX, s.BAX] = P0[s.BAY, s.BAY] = (mean_offset(known, "tractor") or known.offset) ** 2
     for kind, *_ in known.azimuths:
         constant = s.HEADING if kind == s.MAGNETIC1 else s.SEEDER_HEADING
         P0[constant, constant] = problem.AZIMUTH_FREE**2
@@ -213,6 +212,14 @@ def way_of(known: Known) -> Floats:
     return np.asarray(np.cumsum(np.where(speed > CREEP, speed, 0.0) * known.forwards) * STEP)
 
 
+def mean_offset(known: Known, body: str) -> float | None:
+    """Standard deviation of the constant error of a body's accelerometers across, the mean of its units, m/s²; None
+    without a unit."""
+    units = known.log.manifest.of_kind("imd").values()
+    own = [u.accel_bias or known.offset for u in units if u.body == body]
+    return math.sqrt(sum(b * b for b in own)) / len(own) if own else None
+
+
 def offset_readings(known: Known) -> list[Reading]:
     """What each body's accelerometers read along and up beyond what they should have."""
     way, rise = way_of(known), risen(known.epochs[0])
@@ -220,7 +227,7 @@ def offset_readings(known: Known) -> list[Reading]:
     for body, inputs in (("tractor", known.one), ("seeder", known.two)):
         units = [u for u in known.log.manifest.of_kind("imd").values() if u.body == body]
         if inputs is not None and not any(u.accel_bias for u in units):
-            found.append(upwards(inputs.node_force[:, 2], len(units)))
+            found.append(upwards(inputs.node_force, len(units)))
             if rise is not None:
                 speed = np.nan_to_num(known.speed)
                 found.append(along(inputs.node_force[:, 0], way, speed, rise, len(units)))
@@ -233,12 +240,11 @@ def leanings(known: Known) -> tuple[Leaning, ...]:
     turn = known.nodes[:, s.U_WZ] - (0.0 if known.bias is None else known.bias[2])
     across = known.nodes[:, s.U_FY] - speed * turn
     rolls = {"tractor": np.arcsin(np.clip(across / GRAVITY, -0.5, 0.5)), "seeder": known.nodes[:, s.N_ROLL2]}
-    units = known.log.manifest.of_kind("imd").values()
     found = []
     for body, yaw in zip(rolls, known.yaw, strict=True):
-        own = [u.accel_bias or known.offset for u in units if u.body == body]
-        if own:
-            sd = math.hypot(math.sqrt(sum(b * b for b in own)) / len(own) / GRAVITY, physics.LEAN)
+        offset = mean_offset(known, body)
+        if offset is not None:
+            sd = math.hypot(offset / GRAVITY, physics.LEAN)
             found.append(leaning(yaw, rolls[body], sd, float(known.t[-1] - known.t[0])))
     return tuple(found)
 

@@ -37,8 +37,9 @@ class Reading:
 
 
 def upwards(force: Floats, units: int) -> Reading:
-    """Of the vertical force (N,), m/s²."""
-    return Reading(float(force.mean()) - GRAVITY, units, (SCALE * GRAVITY) ** 2 / units)
+    """Of the force (N, 3), m/s²: the size of its mean, which a slope leaves as it is."""
+    size = float(np.linalg.norm(force.mean(axis=0)))
+    return Reading(size - GRAVITY, units, (SCALE * GRAVITY) ** 2 / units)
 
 
 def along(force: Floats, way: Floats, speed: Floats, rise: tuple[float, float], units: int) -> Reading | None:

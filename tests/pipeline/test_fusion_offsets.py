@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from fusion_samples import sample
+from smts_validate.pipeline.fusion import state as s
 from smts_validate.pipeline.fusion.epochs import Epochs
+from smts_validate.pipeline.fusion.known import build, mean_offset, prepare
 from smts_validate.pipeline.fusion.offsets import FACTOR, Reading, along, offset_sd, risen, upwards
-from smts_validate.pipeline.fusion.settings import ACCEL_BIAS, MOUNT_SD
+from smts_validate.pipeline.fusion.settings import ACCEL_BIAS, MOUNT_SD, FusionSettings, Levels
+from smts_validate.pipeline.wheels import wheel_motions
 from smts_validate.sensors.manifest import GRAVITY
 
 STEP = 0.02
@@ -37,10 +42,29 @@ def test_too_short_a_way_tells_nothing_along() -> None:
     assert along(force[:800], way[:800], speed[:800], (rise, 0.03), 1) is None
 
 
-def test_what_a_vertical_axis_reads_beyond_gravity_is_its_offset() -> None:
-    found = upwards(np.full(100, GRAVITY - 0.08), 2)
+@pytest.mark.parametrize("tilt", [0.0, 0.15])
+def test_what_a_unit_at_rest_reads_beyond_gravity_is_its_offset_on_a_slope_too(tilt: float) -> None:
+    axis = np.array([0.0, math.sin(tilt), math.cos(tilt)])
+    found = upwards(np.tile((GRAVITY - 0.08) * axis, (100, 1)), 2)
     assert found.value == pytest.approx(-0.08)
     assert found.units == 2
+
+
+def test_the_mean_of_two_units_errs_by_what_is_stated_and_by_what_is_learnt_of_the_other() -> None:
+    log = sample("benign", 3).log
+    first = next(n for n, u in log.manifest.sensors.items() if u.kind == "imd" and u.body == "tractor")
+    unit = log.manifest.sensors[first]
+    pair = {"stated": 0.05, "silent": None}
+    sensors = {name: u for name, u in log.manifest.sensors.items() if name != first}
+    sensors |= {name: unit.model_copy(update={"accel_bias": bias}) for name, bias in pair.items()}
+    streams = {name: stream for name, stream in log.streams.items() if name != first}
+    streams |= {name: replace(log.streams[first], name=name) for name in pair}
+    manifest = log.manifest.model_copy(update={"sensors": sensors})
+    changed = replace(log, manifest=manifest, streams=streams)
+    known = replace(prepare(changed, wheel_motions(changed)), offset=0.12)
+    assert mean_offset(known, "tractor") == pytest.approx(0.5 * math.hypot(0.05, 0.12))
+    task = build(known, FusionSettings(), Levels(), 0.0)
+    assert task.P0[s.BAY, s.BAY] == pytest.approx(0.25 * (0.05**2 + 0.12**2))
 
 
 def test_height_gained_is_from_end_to_end_and_unknown_without_altitudes() -> None:
