@@ -123,12 +123,12 @@ def run(
 ) -> None:  # fmt: skip
     """Run the whole chain for one pass: LOG is an MCAP log or a raw pass's folder."""
     from .kernels_beside import absent, kernels_beside
-    from .report_beside import nothing, reports_beside
+    from .report_beside import reports_beside
 
     missing = absent()
     with (
         kernels_beside(missing) as compiled,
-        reports_beside(figures, compiled if missing else nothing) as (before, finish),
+        reports_beside(figures, compiled if missing else None) as (before, finish),
     ):
         from . import console
         from .run import run_to_folder

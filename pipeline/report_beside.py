@@ -16,34 +16,33 @@ Work = Callable[[], None]
 Finish = Callable[[Path], None]
 
 
-def nothing() -> None:
-    """In place of work."""
-
-
 @contextmanager
-def reports_beside(figures: bool = False, after: Work = nothing) -> Iterator[tuple[Work, Finish]]:
-    """A function to call before the pass is computed, and what makes the log and the reports of a result's folder.
+def reports_beside(figures: bool = False, after: Work | None = None) -> Iterator[tuple[Work | None, Finish]]:
+    """What to call before the pass is computed, if anything, and what makes log and reports of a result's folder.
 
     The second is for `write_result`. The process ends with the block. On a single core it is this one that makes them.
 
     figures : whether each figure is also left as files
-    after : done by the first function, which then has the process get ready; without it, it does so from the start
+    after : done by the first, which then has the process get ready; without it, it does so from the start
     """
     if cores() < 2:
         yield after, partial(make_reports, figures=figures)
         return
     slots = WorkerSlots(1)
-
-    def before() -> None:
-        after()
-        slots.submit(get_ready)
-
+    finish = partial(_made_by, slots, figures=figures)
     try:
-        if after is nothing:
-            before()
-        yield (nothing if after is nothing else before), partial(_made_by, slots, figures=figures)
+        if after is None:
+            slots.submit(get_ready)
+            yield None, finish
+        else:
+            yield partial(_in_turn, after, partial(slots.submit, get_ready)), finish
     finally:
         slots.shutdown(wait=False)
+
+
+def _in_turn(*works: Callable[[], object]) -> None:
+    for work in works:
+        work()
 
 
 def _made_by(slots: WorkerSlots, folder: Path, figures: bool) -> None:

@@ -67,10 +67,8 @@ def assemble(
     tilt2 = (known.nodes[:, s.N_ROLL2], known.nodes[:, s.N_PITCH2])
     at = output.at_utc(known.t, t, lag, smooth.x, smooth.P, tilt2)
     lateral1, lateral2 = (np.interp(t + lag, known.t, a) for a in lateral_accelerations(known, smooth.x))
-    (across, steep), roll = (
-        slope_variances(known),
-        float(np.median(smooth.P[:, output.K_ROLL, output.K_ROLL])),
-    )
+    across, steep = slope_variances(known)
+    roll = float(np.median(smooth.P[:, output.K_ROLL, output.K_ROLL]))
     place = output.place_doubt(p, ground_variance(task), roll, steep)
     machine = known.log.manifest.machine
     slope, constant = cross_slope(smooth, min(across, roll) + steep), constant_crab(machine, levels)
