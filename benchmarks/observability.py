@@ -23,13 +23,14 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "pipeline"))
 from fusion_samples import Sample, changed, errors, make, receiver_slow_error, rms
 from smts_validate.pipeline.fusion import kernels, output
 from smts_validate.pipeline.fusion import state as s
-from smts_validate.pipeline.fusion.assemble import assemble, constant_crab, ground_variance
+from smts_validate.pipeline.fusion.assemble import assemble
 from smts_validate.pipeline.fusion.fuse import solved
 from smts_validate.pipeline.fusion.motion import BodyMotion, Motion
 from smts_validate.pipeline.fusion.prepare import STEP
 from smts_validate.pipeline.fusion.problem import Measurements, Problem
 from smts_validate.pipeline.fusion.settings import LEVER_SD, FusionSettings, Levels
 from smts_validate.pipeline.fusion.steering import best_steering
+from smts_validate.pipeline.fusion.unseen import Doubt, constant_crab, ground_variance, modes_of, place_doubt
 from smts_validate.pipeline.twin_plan import preset
 
 KINDS = ("benign", "bad_sensors", "outage", "headland")
@@ -189,12 +190,13 @@ def bound(case: Case) -> Bound:
     level = (task.node_inputs[:, s.N_ROLL2], task.node_inputs[:, s.N_PITCH2])
     P = posterior(task, case.path)
     at = output.at_utc(task.t, m.t, lag, case.path, P, level)
-    place = (LEVER_SD, LEVER_SD)
+    place = LEVER_SD
     if case.mounting:
         roll = float(np.median(P[:, output.K_ROLL, output.K_ROLL]))
-        place = output.place_doubt(task.parameters, ground_variance(task), roll)
-    tractor = output.tractor_motion(at, task.parameters, np.full((m.t.size, 1), case.crab[0]), None, place)
-    seeder = output.seeder_motion(at, task.parameters, np.full((m.t.size, 1), case.crab[1]), None, place)
+        place = place_doubt(task.parameters, ground_variance(task), roll)
+    modes = modes_of(at, task.parameters, Doubt(place, crab=case.crab), np.zeros(m.t.size))
+    tractor = output.tractor_motion(at, task.parameters, modes, None)
+    seeder = output.seeder_motion(at, task.parameters, modes, None)
     steer = best_steering(
         m.t,
         tractor,

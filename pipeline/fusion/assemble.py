@@ -9,31 +9,25 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
 
-from ...sensors.manifest import GRAVITY, Machine
 from ...sensors.streams import Warn
 from ..wheels import WheelMotion, choose_steer_input
 from . import output
-from . import settings as physics
 from . import state as s
 from .consistency import assess, innovations
 from .engine_compiled import Filtered, Smoothed
 from .filtering import unpack
-from .ground import ground_slope
-from .known import Known, leanings
+from .known import Known
 from .motion import Motion, SteerInput
 from .prepare import STEP
-from .problem import Problem, compliances
+from .problem import Problem
 from .settings import FusionSettings, Levels
 from .steering import Steering, best_steering
+from .unseen import cross_slope, doubt_of, modes_of
 
 Floats = NDArray[np.float64]
 
-# Constant crab, unseen, as a share of the slip angle's standard deviation: side forces average out along a row.
-CRAB = 0.1
-SLOPE_WINDOW = 750  # nodes, 15 s: the slope of the ground, and not rocking, is what loads tyres for long
 ZERO_FAR = 4.0  # stated standard deviations of a steering sensor's zero, beyond which its reader is told
 OUTAGE = 2.0  # s without an accepted position that is worth a warning
 
@@ -67,24 +61,20 @@ def assemble(
     tilt2 = (known.nodes[:, s.N_ROLL2], known.nodes[:, s.N_PITCH2])
     at = output.at_utc(known.t, t, lag, smooth.x, smooth.P, tilt2)
     lateral1, lateral2 = (np.interp(t + lag, known.t, a) for a in lateral_accelerations(known, smooth.x))
-    across, steep = slope_variances(known)
-    roll = float(np.median(smooth.P[:, output.K_ROLL, output.K_ROLL]))
-    place = output.place_doubt(p, ground_variance(task), roll, steep)
-    machine = known.log.manifest.machine
-    slope, constant = cross_slope(smooth, min(across, roll) + steep), constant_crab(machine, levels)
-    slide = slope_crab(slope, machine)
-    crab = crab_at(t + lag, known.t, slide, constant)
-    tractor = output.tractor_motion(at, p, crab[0], lateral1, place)
-    seeder = output.seeder_motion(at, p, crab[1], lateral2, place) if known.two is not None else None
+    doubt, slopes = doubt_of(known, task, levels, smooth), cross_slope(smooth)
+    slope = np.interp(t + lag, known.t, slopes)
+    modes = modes_of(at, p, doubt, slope)
+    tractor = output.tractor_motion(at, p, modes, lateral1)
+    seeder = output.seeder_motion(at, p, modes, lateral2) if known.two is not None else None
     draw_t = settled.draw_t - lag
     every = output.at_utc(known.t, draw_t, lag, smooth.x, smooth.P, tilt2)
+    modes = modes_of(every, p, doubt, np.interp(settled.draw_t, known.t, slopes))
     rng = np.random.default_rng(options.seed + 1)
-    crab = crab_at(settled.draw_t, known.t, slide, constant)
-    draws = output.body_draws(settled.errors, every, p, known.two is not None, crab, rng, place)
+    draws = output.body_draws(settled.errors, every, p, known.two is not None, modes, rng)
     given = choose_steer_input(known.log, t + lag, wheels)
     bend = tractor.yaw - seeder.yaw if seeder is not None else np.zeros(t.size)
     front = known.log.manifest.machine.tractor.front_axle
-    tilted = (np.interp(t + lag, known.t, slope[0]), np.interp(t + lag, known.t, slope[1]))
+    tilted = (slope, np.full(t.size, doubt.slope))
     best = best_steering(t, tractor, given, front, levels.beta1, bend, tilted)
     given, told = with_honest_zero(given, best.angle)
     consistency = assess(task.measurements, filtered)
@@ -97,79 +87,6 @@ def assemble(
         innovations=innovations(task.measurements, filtered, known.t - lag),
         warnings=warnings_of(known, gnss_t, t, consistency, jumps, wheels) + told,
     )  # fmt: skip
-
-
-def ground_variance(task: Problem) -> float:
-    """Variance (rad²) of the mean roll that all readings of the ground's slope and the accelerometer's bias, as it is
-    known beforehand, give together: what is known of it without turning."""
-    level = task.measurements.var[task.measurements.kind == s.LEVEL_ROLL]
-    ground = level.size / float(np.median(level)) if level.size else 0.0
-    return 1.0 / (ground + GRAVITY**2 / float(task.P0[s.BAY, s.BAY]))
-
-
-def slope_variances(known: Known) -> tuple[float, float]:
-    """Variances (rad²) of the cross slope, mean along the path: by the readings of it without turning, and by the doubt
-    of how steep the field is."""
-    slope = ground_slope(known.epochs[0], leanings(known))
-    left = np.column_stack([-np.sin(known.yaw[0]), np.cos(known.yaw[0])])
-    across, steep = (
-        float(np.mean(np.einsum("ni,ij,nj->n", left, C, left))) for C in (slope.known, slope.doubt)
-    )
-    return across, steep
-
-
-def constant_crab(machine: Machine, levels: Levels) -> tuple[float, float]:
-    """Standard deviations (rad) of a crab angle that stays all along a row, of the tractor and of the seeder.
-
-    No sensor on a machine that crabs can see it. A share of the slip angles' own deviation, and as much as the
-    manifest's draft, where it pulls aside, would make by the stated tyres: draft is known to no better.
-    """
-    crab = CRAB * np.array([levels.beta1, levels.beta2])
-    if machine.seeder is not None and machine.tyres.seeder is not None:
-        tractor, seeder = machine.tractor, machine.seeder
-        aside = seeder.draft * abs(math.sin(math.radians(seeder.draft_angle_deg)))
-        axle = seeder.hitch_to_com + float(np.mean(seeder.axles))
-        at_axle = aside * seeder.hitch_to_com / axle
-        lever = (tractor.front_axle + tractor.hitch) / (tractor.front_axle + tractor.rear_axle)
-        at_rear = abs(aside - at_axle) * lever
-        stiffness = np.array(
-            [machine.tyres.rear.cornering_stiffness, machine.tyres.seeder.cornering_stiffness]
-        )
-        wheels = np.array([2.0, 2.0 * len(seeder.axles)])
-        crab = np.hypot(crab, np.array([at_rear, at_axle]) / (wheels * stiffness))
-    return float(crab[0]), float(crab[1])
-
-
-def slope_crab(slope: tuple[Floats, Floats], machine: Machine) -> Floats:
-    """Crab (N, 2, 2), rad, of tractor and seeder that tyres as soft as `compliances` have under the weight's part along
-    the ground: by its cross slope (N,), rad, and by that slope's deviation. It turns both uphill."""
-    both = np.column_stack(slope)
-    return np.asarray(GRAVITY * both[:, None, :] * np.array(compliances(machine))[:, None])
-
-
-def cross_slope(smooth: Smoothed, variance: float) -> tuple[Floats, Floats]:
-    """Cross slope (N,) of the ground along the path, rad, and its deviation.
-
-    The tractor's tilt in the world's axes (a turn leaves it as it is), mean over SLOPE_WINDOW. Of rolling on rough
-    ground a part is left in such a mean, by ROUGH_TIME of it; the slopes are as large as the means are beyond that.
-    """
-    roll, pitch, yaw = smooth.x[:, s.ROLL], smooth.x[:, s.PITCH], smooth.x[:, s.YAW1]
-    size, c, sn = min(SLOPE_WINDOW, yaw.size), np.cos(yaw), np.sin(yaw)
-    east = uniform_filter1d(-sn * roll - c * pitch, size, mode="nearest")
-    north = uniform_filter1d(c * roll - sn * pitch, size, mode="nearest")
-    mean = c * north - sn * east
-    rocking = float(np.var(roll - mean)) * 2.0 * physics.ROUGH_TIME / (size * STEP)
-    share = max(1.0 - rocking / max(float(np.mean(mean**2)), 1e-12), 0.0)
-    return share * mean, np.full(yaw.size, math.sqrt(share * rocking + variance))
-
-
-def crab_at(t: Floats, nodes: Floats, slide: Floats, constant: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Deviations of both bodies' crab at instants t (M,), rad, each (M, 3): constant along a row, and by the slope."""
-    tractor, seeder = (
-        np.column_stack([np.full(t.size, c), *(np.interp(t, nodes, by) for by in slide[:, body].T)])
-        for body, c in enumerate(constant)
-    )
-    return tractor, seeder
 
 
 def lateral_accelerations(known: Known, x: Floats) -> tuple[Floats, Floats]:

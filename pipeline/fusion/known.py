@@ -16,7 +16,7 @@ from . import initial, problem
 from . import settings as physics
 from . import state as s
 from .epochs import Epochs
-from .ground import Leaning, leaning
+from .ground import Leaning, Slope, ground_slope, leaning
 from .motion import Origin
 from .offsets import Reading, along, offset_sd, risen, upwards
 from .prepare import STEP, BodyInputs, body_inputs, grid, node_rates, resolved_yaw_rate, standing, tilt
@@ -45,7 +45,8 @@ class Known:
     speed : (N,) m/s over ground, NaN where unknown; forwards : (N,) 1 or -1; yaw : approximate, (N,) each;
     bias : (4,) mean gyro readings at rest (tractor x, y, z, seeder z), None without a rest
     offset : m/s², deviation of an accelerometer's horizontal offset where the manifest states none
-    ground : measurements of the ground's slope at those headings; neither levels nor the clocks' lag change them
+    slope, ground : the ground's slope at those headings, and measurements of it; neither levels nor the clocks' lag
+    change them
     azimuths : kind, nodes, rad, variance of magnetometers that prove consistent; magnetic : of each magnetometer why it
     is not used ("" where it is), and the deviation of a reading, rad
     """
@@ -64,6 +65,7 @@ class Known:
     nodes: Floats = field(default_factory=lambda: np.empty((0, s.N_SIZE)))
     yaw: tuple[Floats, Floats] = field(default_factory=lambda: (np.empty(0), np.empty(0)))
     bias: Floats | None = None
+    slope: Slope = field(default_factory=lambda: Slope(np.zeros(2), *[np.zeros((2, 2))] * 3))
     ground: tuple[Part, ...] = ()
     offset: float = physics.ACCEL_BIAS
     azimuths: tuple[tuple[int, Ints, Floats, float], ...] = ()
@@ -162,17 +164,14 @@ def headed(known: Known, yaw1: Floats, yaw2: Floats) -> Known:
     """At other headings (N,) of tractor and seeder, and the ground's slope as the sensors read it along them."""
     known = replace(known, yaw=(yaw1, yaw2))
     known = replace(known, offset=offset_sd(offset_readings(known)))
-    ground = problem.ground_parts(known.t, known.epochs, yaw1, leanings(known), way_of(known))
-    return replace(known, ground=ground)
+    main = next(e for e in known.epochs if e.first)
+    slope = ground_slope(main, leanings(known))
+    return replace(known, slope=slope, ground=problem.ground_parts(known.t, main, yaw1, slope, way_of(known)))
 
 
 def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> Problem:
     """The estimation problem at given levels, its GNSS epochs placed by `lag`."""
-    p = problem.parameters_of(known.log.manifest, known.epochs, known.one, known.two)
-    p = problem.with_levels(p, levels, known.epochs)
-    if known.azimuths:
-        p[s.P_ACTIVE] = max(p[s.P_ACTIVE], s.SEEDER_HEADING + 1)
-    p[s.P_TILT] = 1.0 if options.tilt_compensation else 0.0
+    p = parameters(known, options, levels)
     q = problem.measurements_of(
         known.t,
         known.epochs,
@@ -187,6 +186,22 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
         known.ground,
     )
     q = problem.with_azimuths(q, known.azimuths, lag)
+    x0, P0 = start_of(known, p, lag)
+    return Problem(known.t, known.steps, known.nodes, q, new_float_spans(known, lag, p), p, x0, P0)
+
+
+def parameters(known: Known, options: FusionSettings, levels: Levels) -> Floats:
+    """Parameter vector of the kernels at given levels."""
+    p = problem.parameters_of(known.log.manifest, known.epochs, known.one, known.two)
+    p = problem.with_levels(p, levels, known.epochs)
+    if known.azimuths:
+        p[s.P_ACTIVE] = max(p[s.P_ACTIVE], s.SEEDER_HEADING + 1)
+    p[s.P_TILT] = 1.0 if options.tilt_compensation else 0.0
+    return p
+
+
+def start_of(known: Known, p: Floats, lag: float) -> tuple[Floats, Floats]:
+    """State (SIZE,) at the first node and its covariance, with what is known of this pass's sensors."""
     x0, P0 = problem.starting_state(
         known.log.manifest, p, initial.first_position(known.epochs, known.t[0]),
         (float(known.yaw[0][0]), float(known.yaw[1][0])), float(np.nan_to_num(known.speed[0]) * known.forwards[0]),
@@ -199,8 +214,7 @@ def build(known: Known, options: FusionSettings, levels: Levels, lag: float) -> 
         P0[constant, constant] = problem.AZIMUTH_FREE**2
     if known.wheel is not None:
         P0[s.KAPPA, s.KAPPA] = known.wheel.scale_sd**2
-    inject = new_float_spans(known, lag, p)
-    return Problem(known.t, known.steps, known.nodes, q, inject, p, x0, P0)
+    return x0, P0
 
 
 def way_of(known: Known) -> Floats:

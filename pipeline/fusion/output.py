@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from . import settings as physics
 from . import state as s
 from .motion import BodyMotion
 from .prepare import STEP
@@ -23,9 +22,7 @@ Floats = NDArray[np.float64]
 
 RATE_WINDOW = 11  # nodes: yaw rates leave as slopes of the smoothed yaw over 0.2 s
 K_X, K_Y, K_YAW1, K_V, K_SLIP1, K_ROLL, K_PITCH, K_YAW2, K_BGZ, K_BGZ2, K_LAG, K_TURN1 = range(len(KEPT))
-Place = tuple[float, float]  # m, deviations of a constant doubt of place ahead and to the left of the tractor
 BLOCK = 8192  # nodes worked on at a time: an hour's covariances more than once are the peak of memory
-UNMEASURED: Place = (physics.LEVER_SD, physics.LEVER_SD)
 BODY = 6  # x, y, yaw, v, v_lateral, yaw_rate
 
 
@@ -39,6 +36,20 @@ class Smooth:
     rate2: Floats
     roll2: Floats
     pitch2: Floats
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """What moves and turns the bodies and is not in the state: d(x, y, yaw), m and rad, of tractor and seeder.
+
+    tractor, seeder (N, K, 3) : by one standard deviation of each of K unknowns, constant all along and the same of both
+    tractor_by_roll, seeder_by_roll (N, 3) : by an error of the state's roll, beside what the state itself has of it
+    """
+
+    tractor: Floats
+    seeder: Floats
+    tractor_by_roll: Floats
+    seeder_by_roll: Floats
 
 
 def utc_grid(t: Floats, lag: float) -> Floats:
@@ -114,33 +125,13 @@ def seeder_jacobian(m: Smooth, p: Floats) -> Floats:
     return J
 
 
-def tractor_crab(m: Smooth) -> Floats:
-    """d(x1, y1, yaw1) by a constant error of the tractor's yaw, (N, 3): the antenna stands over the CoM."""
-    return np.tile([0.0, 0.0, 1.0], (m.x.shape[0], 1))
-
-
-def seeder_crab(m: Smooth, p: Floats) -> Floats:
-    """d(x2, y2, yaw2) by a constant error of the seeder's yaw, (N, 3): its CoM swings about the hitch."""
-    yaw = m.x[:, s.YAW2]
-    return np.column_stack([p[s.P_COM2] * np.sin(yaw), -p[s.P_COM2] * np.cos(yaw), np.ones(yaw.size)])
-
-
-def _covariance(
-    J: Floats, P: Floats, rate_variance: float, crab: Floats, turned: Floats, place: Place, yaw: Floats
-) -> Floats:
-    """J·P·Jᵀ with what the state does not hold: the rates' own noise, a constant doubt of place, and crab.
-
-    crab : (N, K) deviations of K independent errors of the yaw, rad; turned : (N, 3) d(x, y, yaw) by one
-    yaw : (N,) of the tractor, along whose axes the place is in doubt
-    """
+def _covariance(J: Floats, P: Floats, rate_variance: float, modes: Floats) -> Floats:
+    """J·P·Jᵀ with what the state does not hold: the rates' own noise and modes (N, K, 3) of x, y and yaw."""
     C = np.empty((J.shape[0], BODY, BODY))
     for a in range(0, J.shape[0], BLOCK):
         here = slice(a, a + BLOCK)
         C[here] = J[here] @ P[here] @ J[here].transpose(0, 2, 1)
-    c, sn = np.cos(yaw), np.sin(yaw)
-    for size, axis in ((place[0], np.stack([c, sn], axis=1)), (place[1], np.stack([-sn, c], axis=1))):
-        C[:, :2, :2] += size**2 * axis[:, :, None] * axis[:, None, :]
-    C[:, :3, :3] += np.sum(crab**2, axis=1)[:, None, None] * turned[:, :, None] * turned[:, None, :]
+        C[here, :3, :3] += modes[here].transpose(0, 2, 1) @ modes[here]
     C[:, 4, 4] += rate_variance
     C[:, 5, 5] += rate_variance
     return np.asarray(0.5 * (C + C.transpose(0, 2, 1)))
@@ -151,17 +142,15 @@ def _slope_variance(noise: float) -> float:
     return 1.2 * noise**2 / (RATE_WINDOW * STEP)
 
 
-def tractor_motion(
-    m: Smooth, p: Floats, crab: Floats, lateral: Floats | None, place: Place = UNMEASURED
-) -> BodyMotion:
-    """The tractor's motion at its centre of mass; place : m, constant doubt of it beside the state's."""
+def tractor_motion(m: Smooth, p: Floats, unseen: Unseen, lateral: Floats | None) -> BodyMotion:
+    """The tractor's motion at its centre of mass."""
     x = m.x
     c, sn = np.cos(x[:, s.YAW1]), np.sin(x[:, s.YAW1])
     forward = p[s.P_REAR] + p[s.P_SWAY] * np.sin(x[:, s.PITCH]) * np.cos(x[:, s.ROLL])
     left = -p[s.P_SWAY] * np.sin(x[:, s.ROLL])
-    C = _covariance(
-        tractor_jacobian(m, p), m.P, _slope_variance(p[s.P_GYRO1]), crab, tractor_crab(m), place, x[:, s.YAW1]
-    )
+    J = tractor_jacobian(m, p)
+    J[:, :3, K_ROLL] += unseen.tractor_by_roll
+    C = _covariance(J, m.P, _slope_variance(p[s.P_GYRO1]), unseen.tractor)
     return BodyMotion(
         x=x[:, s.X] + forward * c - left * sn,
         y=x[:, s.Y] + forward * sn + left * c,
@@ -176,10 +165,8 @@ def tractor_motion(
     )
 
 
-def seeder_motion(
-    m: Smooth, p: Floats, crab: Floats, lateral: Floats | None, place: Place = UNMEASURED
-) -> BodyMotion:
-    """The seeder's motion at its centre of mass, behind the hitch by l5; place : as of the tractor, which leads it."""
+def seeder_motion(m: Smooth, p: Floats, unseen: Unseen, lateral: Floats | None) -> BodyMotion:
+    """The seeder's motion at its centre of mass, behind the hitch by l5."""
     x = m.x
     c1, s1 = np.cos(x[:, s.YAW1]), np.sin(x[:, s.YAW1])
     c2, s2 = np.cos(x[:, s.YAW2]), np.sin(x[:, s.YAW2])
@@ -187,15 +174,9 @@ def seeder_motion(
     left = -p[s.P_SWAY2] * np.sin(m.roll2)
     bend = x[:, s.YAW1] - x[:, s.YAW2]
     across = slip_velocity(m) - p[s.P_HITCH] * m.rate1
-    C = _covariance(
-        seeder_jacobian(m, p),
-        m.P,
-        _slope_variance(p[s.P_GYRO2]),
-        crab,
-        seeder_crab(m, p),
-        place,
-        x[:, s.YAW1],
-    )
+    J = seeder_jacobian(m, p)
+    J[:, :3, K_ROLL] += unseen.seeder_by_roll
+    C = _covariance(J, m.P, _slope_variance(p[s.P_GYRO2]), unseen.seeder)
     return BodyMotion(
         x=x[:, s.X] - p[s.P_HITCH] * c1 + forward * c2 - left * s2,
         y=x[:, s.Y] - p[s.P_HITCH] * s1 + forward * s2 + left * c2,
@@ -210,52 +191,20 @@ def seeder_motion(
     )
 
 
-def _crabbing(crab: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """Draws of a yaw's error by crab, (count, M, 1), rad."""
-    return np.asarray((rng.standard_normal((count, crab.shape[1])) @ crab.T)[:, :, None])
-
-
 def body_draws(
-    error: Floats, at: Smooth, p: Floats, seeder: bool, crab: tuple[Floats, Floats], rng: np.random.Generator,
-    place: Place = (0.0, 0.0),
-) -> Floats:  # fmt: skip
+    error: Floats, at: Smooth, p: Floats, seeder: bool, unseen: Unseen, rng: np.random.Generator
+) -> Floats:
     """Draws of the error of (x1, y1, yaw1, x2, y2, yaw2), (K, M, 6 or 3), from draws of the KEPT state (M, kept, K).
 
-    at : the smoothed state at the draws' instants; crab : (M, modes) deviations of each body's crab, rad, one value
-    of each mode a draw;
-    place : of a constant error of place, likewise; the seeder shares it
+    at : the smoothed state at the draws' instants, and what is unseen there: one value of each mode a draw
     """
-    one = np.einsum("nik,nkd->dni", tractor_jacobian(at, p)[:, :3], error, optimize=True)
-    count = error.shape[2]
-    one += _crabbing(crab[0], count, rng) * tractor_crab(at)
-    shift = moved(at, np.array(place) * rng.standard_normal((count, 2)))
-    one[:, :, :2] += shift
-    if not seeder:
-        return np.ascontiguousarray(one)
-    two = np.einsum("nik,nkd->dni", seeder_jacobian(at, p)[:, :3], error, optimize=True)
-    two += _crabbing(crab[1], count, rng) * seeder_crab(at, p)
-    two[:, :, :2] += shift
-    return np.ascontiguousarray(np.concatenate([one, two], axis=2))
-
-
-def moved(at: Smooth, ahead_left: Floats) -> Floats:
-    """Shifts (K, 2) along the tractor's axes, east and north at every instant: (K, M, 2), m."""
-    c, sn = np.cos(at.x[:, s.YAW1]), np.sin(at.x[:, s.YAW1])
-    ahead, left = ahead_left[:, :1], ahead_left[:, 1:]
-    return np.stack([ahead * c - left * sn, ahead * sn + left * c], axis=2)
-
-
-def place_doubt(p: Floats, level: float, roll: float, steep: float = 0.0) -> Place:
-    """Constant doubt of place: lever arms by tape, the unit's mounting where its gyros tell the tilt, and the field's
-    steepness where they don't.
-
-    On a straight row the ground's slope tells the body's mean roll and the mounting is lost in the accelerometer's
-    bias. A turn shows the gyros where the vertical is, but against the unit, not the body.
-
-    level, roll : variances (rad²) of the mean roll without turning, and as smoothed
-    steep : variance (rad²) of the mean roll by the field's steepness being unknown, as far as no turn tells it
-    """
-    height = p[s.P_ANT_Z] + p[s.P_SWAY]
-    without = min(roll / max(level, 1e-12), 1.0)
-    ahead = math.hypot(physics.LEVER_SD, (1.0 - without) * physics.MOUNT_SD * height)
-    return ahead, math.hypot(ahead, math.sqrt(steep) * height)
+    size = rng.standard_normal((error.shape[2], unseen.tractor.shape[1]))
+    bodies = [(tractor_jacobian(at, p), unseen.tractor_by_roll, unseen.tractor)]
+    if seeder:
+        bodies.append((seeder_jacobian(at, p), unseen.seeder_by_roll, unseen.seeder))
+    found = []
+    for J, by_roll, modes in bodies:
+        J[:, :3, K_ROLL] += by_roll
+        seen = np.einsum("nik,nkd->dni", J[:, :3], error, optimize=True)
+        found.append(seen + np.einsum("dk,nki->dni", size, modes, optimize=True))
+    return np.ascontiguousarray(np.concatenate(found, axis=2))

@@ -16,7 +16,7 @@ from ...sensors.streams import FieldLog, GnssStream
 from . import settings as physics
 from . import state as s
 from .epochs import Epochs
-from .ground import Leaning, ground_slope, rough_mean, rough_pitch, standstills, undulation
+from .ground import Slope, rough_mean, rough_pitch, standstills, undulation
 from .motion import Origin
 from .prepare import STEP, BodyInputs
 from .rolling import WheelSpeed
@@ -365,16 +365,11 @@ def _rest(nodes: Floats, still: NDArray[np.bool_], p: Floats) -> list[Part]:
     return parts
 
 
-def ground_parts(
-    t: Floats, epochs: Sequence[Epochs], yaw: Floats, bodies: Sequence[Leaning], way: Floats
-) -> tuple[Part, ...]:
+def ground_parts(t: Floats, main: Epochs, yaw: Floats, slope: Slope, way: Floats) -> tuple[Part, ...]:
     """Roll and pitch of the ground once a second, weighted so that all of them know its mean slope only once.
 
     yaw : (N,) of the tractor; way : (N,) m, distance along the heading
-    bodies : what the tractor's and the seeder's accelerometers say of the ground's slope
     """
-    main = next(e for e in epochs if e.first)
-    slope = ground_slope(main, bodies)
     gradient, covariance = slope.gradient, slope.covariance
     hill = undulation(main, gradient, way, t, yaw)
     k = np.arange(0, t.size, LEVEL_EVERY)

@@ -10,6 +10,7 @@ from smts_validate.pipeline.fusion import kernels, output, problem, settings
 from smts_validate.pipeline.fusion import state as s
 from smts_validate.pipeline.fusion.motion import BodyMotion, SteerInput
 from smts_validate.pipeline.fusion.steering import best_steering
+from smts_validate.pipeline.fusion.unseen import Doubt, modes_of
 from smts_validate.pipeline.twin_plan import preset
 from smts_validate.sensors.manifest import Machine
 
@@ -90,9 +91,9 @@ def test_the_lateral_velocities_doubt_is_that_of_both_parts_of_the_slip() -> Non
         P = np.zeros((1, len(s.KEPT), len(s.KEPT)))
         P[0, s.KEPT.index(part), s.KEPT.index(part)] = 0.03**2
         at = output.Smooth(x, P, none, none, none, none)
-        crab = np.zeros((1, 1))
-        variances.append(output.tractor_motion(at, p, crab, None).covariance[0, 4, 4])
-        variances.append(output.seeder_motion(at, p, crab, None).covariance[0, 4, 4])
+        nothing = modes_of(at, p, Doubt(place=0.0), none)
+        variances.append(output.tractor_motion(at, p, nothing, None).covariance[0, 4, 4])
+        variances.append(output.seeder_motion(at, p, nothing, None).covariance[0, 4, 4])
     np.testing.assert_allclose(variances, 0.03**2, rtol=1e-9)
 
 
