@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import astuple, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,18 @@ from . import state as s
 from .assemble import Settled, assemble
 from .draws import posterior_errors
 from .engine_compiled import Filtered, Smoothed
-from .known import LONG, Known, build, headed, lag_sd, levelled, prepare
+from .known import (
+    LONG,
+    Known,
+    build,
+    headed,
+    lag_sd,
+    levelled,
+    new_float_spans,
+    parameters,
+    prepare,
+    start_of,
+)
 from .magnetic import with_magnetometers
 from .motion import Motion
 from .prepare import STEP
@@ -27,6 +38,12 @@ Floats = NDArray[np.float64]
 
 TUNED = 6_000  # nodes of motion that the levels are tuned on
 MORE = 4  # relinearisations beyond those asked for, while the receiver is still refused at new places
+NAMES = tuple(f.name for f in fields(Levels))
+LEVEL_OF = {  # the level that a kind's variance grows with
+    s.FIXED_X: "white_fixed", s.FIXED_Y: "white_fixed", s.FLOAT_X: "white_float", s.FLOAT_Y: "white_float",
+    s.SECOND_X: "white_second", s.SECOND_Y: "white_second", s.THIRD_X: "white_second", s.THIRD_Y: "white_second",
+    s.VEL_X: "velocity", s.VEL_Y: "velocity", s.ACCEL_Y: "lateral", s.HITCH: "hitch", s.WHEEL: "wheel",
+}  # fmt: skip
 REFUSED_RUN = 4.0  # s of refused fixed positions after which the receiver, not the filter, sets the place
 
 
@@ -90,15 +107,28 @@ def beginning(task: Problem, known: Known) -> Problem:
 
 
 def likelihood_of(known: Known, options: FusionSettings, path: Floats) -> Callable[[Levels], float]:
-    """Likelihood of levels over the part of the pass with most motion, starting from the smoothed path there."""
+    """Likelihood of levels over the part of the pass with most motion, starting from the smoothed path there.
+
+    Of a problem only variances depend on the levels, and a measurement's is a + b·level²: two problems give a and b.
+    """
     moving = np.concatenate([[0], np.cumsum(~known.still)])
-    last = max(known.t.size - TUNED, 0)
-    starts = range(0, last + 1, 500)
+    starts = range(0, max(known.t.size - TUNED, 0) + 1, 500)
     first = max(starts, key=lambda k: int(moving[min(k + TUNED, known.t.size)] - moving[k]))
     lag = float(path[-1, s.LAG])
+    last = min(first + TUNED, known.t.size)
+    none, one = (
+        cut(build(known, options, at, lag), first, last, path)
+        for at in (Levels(*[0.0] * len(NAMES)), Levels(*[1.0] * len(NAMES)))
+    )
+    a, b = none.measurements.var, one.measurements.var - none.measurements.var
+    column = np.array([NAMES.index(LEVEL_OF.get(int(kind), NAMES[0])) for kind in one.measurements.kind])
 
     def likelihood(levels: Levels) -> float:
-        return score(cut(build(known, options, levels, lag), first, min(first + TUNED, known.t.size), path))
+        squared = np.square(np.array(astuple(levels)))
+        measurements = replace(none.measurements, var=a + b * squared[column])
+        p = parameters(known, options, levels)
+        spans, P0 = new_float_spans(known, lag, p)[first:last], start_of(known, p, lag)[1]
+        return score(replace(none, measurements=measurements, inject=spans, parameters=p, P0=P0))
 
     return likelihood
 

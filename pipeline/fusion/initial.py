@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 BASELINE = 4.0  # m of travel over which a course is taken
 LONGEST = 15.0  # s for it: a machine that creeps at 0.3 m/s has its course then, and a gyro's bias has not spoilt it
 ROUGH = 0.1  # m, of positions: differences over 1 s then err by what a machine creeps
-LAGS = np.arange(-10, 6) * 0.025  # s: latencies of 20 to 350 ms where 100 ms was assumed
+LAGS = np.arange(-5, 4) * 0.05  # s: latencies of 20 to 350 ms where 100 ms was assumed
 
 
 def ground_speed(t: Floats, e: Epochs) -> Floats:

@@ -1,8 +1,8 @@
 """Levels that the data themselves can tell: the clocks' lag, slips and noise, by the innovations' likelihood.
 
 The forward filter's innovations are independent under the model, so their Gaussian log-likelihood (Schweppe
-1965) is the likelihood of the levels. Coordinate search over logarithmic steps with a lognormal prior of a
-factor of three about the physical starting values: a short or quiet pass keeps those.
+1965) is the likelihood of the levels, with a lognormal prior of a factor of three about the physical starting values: a
+short or quiet pass keeps those.
 """
 
 from __future__ import annotations
@@ -12,12 +12,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .initial import LAGS
 from .settings import Levels
-
-Floats = NDArray[np.float64]
 
 PRIOR_FACTOR = 3.0  # one standard deviation of the prior, as a factor
 BOUNDS: Mapping[str, tuple[float, float]] = {
@@ -25,42 +22,74 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "white_second": (0.15, 1.5), "velocity": (0.01, 1.0), "lateral": (0.7, 20.0), "hitch": (0.15, 20.0),
     "forward": (0.1, 10.0), "wheel": (0.002, 0.5),
 }  # fmt: skip
-FACTORS = (2.0, 1.4, 1.2)  # of successive sweeps
+FIRST, THEN = math.log(2.0), math.log(1.3)  # steps of the first sweep over the levels and of the second
+NEAR = 0.1  # steps from a top: near enough
+FURTHEST = 8  # steps on end in one direction
 
 
 def best_lag(likelihood: Callable[[float], float], prior_sd: float) -> float:
-    """Lag from which the estimate may start: best of a grid of 25 ms about the prior, refined to 6 ms."""
-
-    def posterior(lag: float) -> float:
-        return likelihood(lag) - 0.5 * (lag / prior_sd) ** 2
-
-    lag = float(max(LAGS, key=posterior))
-    for step in (0.0125, 0.00625):
-        lag = max((lag - step, lag, lag + step), key=posterior)
-    return lag
+    """Lag from which the estimate may start: the top of the parabola about the best of a grid about the prior."""
+    scores = np.array([likelihood(float(lag)) - 0.5 * (float(lag) / prior_sd) ** 2 for lag in LAGS])
+    best = int(np.argmax(scores))
+    if best in (0, LAGS.size - 1):
+        return float(LAGS[best])
+    lower, middle, higher = scores[best - 1 : best + 2]
+    return float(LAGS[best] + (LAGS[1] - LAGS[0]) * _top(lower - middle, higher - middle))
 
 
 def best_levels(start: Levels, free: tuple[str, ...], likelihood: Callable[[Levels], float]) -> Levels:
-    """Levels of the largest posterior: coordinate search from `start` over the named fields."""
+    """Levels of the largest posterior, from `start` over the named fields: twice one after the other.
 
-    def posterior(levels: Levels) -> float:
-        prior = sum(
-            math.log(getattr(levels, name) / getattr(start, name)) ** 2 for name in free
-        ) / (2.0 * math.log(PRIOR_FACTOR) ** 2)  # fmt: skip
-        return likelihood(levels) - prior
+    In its logarithm the posterior of one level is nearly a parabola, whose top two neighbours tell. Where a neighbour
+    is the better, the first sweep goes on to it and beyond.
+    """
 
-    best, score = start, posterior(start)
-    for factor in FACTORS:
+    def posterior(at: Mapping[str, float]) -> float:
+        prior = sum(math.log(at[name] / getattr(start, name)) ** 2 for name in free)
+        return likelihood(replace(start, **at)) - prior / (2.0 * math.log(PRIOR_FACTOR) ** 2)
+
+    best = {name: float(getattr(start, name)) for name in free}
+    score = posterior(best)
+    for step in (FIRST, THEN):
         for name in free:
-            for direction in (factor, 1.0 / factor):
-                climbed = False
-                while True:
-                    low, high = BOUNDS[name]
-                    value = min(max(getattr(best, name) * direction, low), high)
-                    trial = replace(best, **{name: value})
-                    if value == getattr(best, name) or (new := posterior(trial)) <= score:
-                        break
-                    best, score, climbed = trial, new, True
-                if climbed:
-                    break
-    return best
+
+            def along(place: float, name: str = name) -> float:
+                return posterior(best | {name: _within(name, place)})
+
+            place, score = _climbed(along, math.log(best[name]), score, step)
+            best[name] = _within(name, place)
+    return replace(start, **best)
+
+
+def _within(name: str, logarithm: float) -> float:
+    low, high = BOUNDS[name]
+    return min(max(math.exp(logarithm), low), high)
+
+
+def _climbed(
+    score_at: Callable[[float], float], place: float, score: float, step: float
+) -> tuple[float, float]:
+    """Top of a function along one line, from a place of known score, and the score there: by the parabola through the
+    best of its points, `step` apart, and that one's neighbours."""
+    lower, higher = score_at(place - step), score_at(place + step)
+    if max(lower, higher) > score:
+        way, beyond, behind = (step, higher, score) if higher > lower else (-step, lower, score)
+        for _ in range(FURTHEST):
+            place, score = place + way, beyond
+            beyond = score_at(place + way)
+            if beyond <= score:
+                break
+            behind = score
+        lower, higher = (behind, beyond) if way > 0.0 else (beyond, behind)
+    top = _top(lower - score, higher - score)
+    if abs(top) < NEAR:
+        return place, score
+    reached = score_at(place + step * top)
+    return (place + step * top, reached) if reached > score else (place, score)
+
+
+def _top(lower: float, higher: float) -> float:
+    """Where the parabola through (-1, lower), (0, 0), (1, higher) is highest; neither of its neighbours is above zero,
+    so that is half a step away at most."""
+    bend = lower + higher
+    return 0.5 * (lower - higher) / bend if bend < 0.0 else 0.0
