@@ -37,6 +37,7 @@ from .settings import FusionSettings, Levels
 Floats = NDArray[np.float64]
 
 TUNED = 6_000  # nodes of motion that the levels are tuned on
+ROUGHLY_TUNED = 2_000
 MORE = 4  # relinearisations beyond those asked for, while the receiver is still refused at new places
 NAMES = tuple(f.name for f in fields(Levels))
 LEVEL_OF = {  # the level that a kind's variance grows with
@@ -78,7 +79,8 @@ def solved(
     free: tuple[str, ...] = ()
     if options.adapt:
         free = free_levels(known)
-        levels = tune.best_levels(levels, free, likelihood_of(known, options, path))
+        likelihood, rough = (likelihood_of(known, options, path, size) for size in (TUNED, ROUGHLY_TUNED))
+        levels = tune.best_levels(levels, free, likelihood, rough)
     if options.magnetometers:
         known = with_magnetometers(known, path)
     return known, options, levels, free, settle(known, options, levels, path), wheels
@@ -106,16 +108,18 @@ def beginning(task: Problem, known: Known) -> Problem:
     return cut(task, 0, int(driven[0]), task.x0[None])
 
 
-def likelihood_of(known: Known, options: FusionSettings, path: Floats) -> Callable[[Levels], float]:
-    """Likelihood of levels over the part of the pass with most motion, starting from the smoothed path there.
+def likelihood_of(
+    known: Known, options: FusionSettings, path: Floats, size: int
+) -> Callable[[Levels], float]:
+    """Likelihood of levels over the `size` nodes of the pass with most motion, starting from the smoothed path there.
 
     Of a problem only variances depend on the levels, and a measurement's is a + b·level²: two problems give a and b.
     """
     moving = np.concatenate([[0], np.cumsum(~known.still)])
-    starts = range(0, max(known.t.size - TUNED, 0) + 1, 500)
-    first = max(starts, key=lambda k: int(moving[min(k + TUNED, known.t.size)] - moving[k]))
+    starts = range(0, max(known.t.size - size, 0) + 1, 500)
+    first = max(starts, key=lambda k: int(moving[min(k + size, known.t.size)] - moving[k]))
     lag = float(path[-1, s.LAG])
-    last = min(first + TUNED, known.t.size)
+    last = min(first + size, known.t.size)
     none, one = (
         cut(build(known, options, at, lag), first, last, path)
         for at in (Levels(*[0.0] * len(NAMES)), Levels(*[1.0] * len(NAMES)))

@@ -37,28 +37,45 @@ def best_lag(likelihood: Callable[[float], float], prior_sd: float) -> float:
     return float(LAGS[best] + (LAGS[1] - LAGS[0]) * _top(lower - middle, higher - middle))
 
 
-def best_levels(start: Levels, free: tuple[str, ...], likelihood: Callable[[Levels], float]) -> Levels:
+def best_levels(
+    start: Levels,
+    free: tuple[str, ...],
+    likelihood: Callable[[Levels], float],
+    rough: Callable[[Levels], float],
+) -> Levels:
     """Levels of the largest posterior, from `start` over the named fields: twice one after the other.
 
     In its logarithm the posterior of one level is nearly a parabola, whose top two neighbours tell. Where a neighbour
-    is the better, the first sweep goes on to it and beyond.
+    is the better, the search goes on to it and beyond.
+
+    rough : likelihood of fewer data, for the first sweep, which has far to go
     """
 
-    def posterior(at: Mapping[str, float]) -> float:
-        prior = sum(math.log(at[name] / getattr(start, name)) ** 2 for name in free)
-        return likelihood(replace(start, **at)) - prior / (2.0 * math.log(PRIOR_FACTOR) ** 2)
-
     best = {name: float(getattr(start, name)) for name in free}
-    score = posterior(best)
-    for step in (FIRST, THEN):
-        for name in free:
+    for step, told in ((FIRST, rough), (THEN, likelihood)):
 
-            def along(place: float, name: str = name) -> float:
-                return posterior(best | {name: _within(name, place)})
+        def posterior(at: Mapping[str, float], told: Callable[[Levels], float] = told) -> float:
+            prior = sum(math.log(at[name] / getattr(start, name)) ** 2 for name in free)
+            return told(replace(start, **at)) - prior / (2.0 * math.log(PRIOR_FACTOR) ** 2)
 
-            place, score = _climbed(along, math.log(best[name]), score, step)
-            best[name] = _within(name, place)
+        best = _swept(best, posterior, step)
     return replace(start, **best)
+
+
+def _swept(
+    best: Mapping[str, float], posterior: Callable[[Mapping[str, float]], float], step: float
+) -> dict[str, float]:
+    """All levels one after the other brought to the top of the posterior along their own logarithms."""
+    best = dict(best)
+    score = posterior(best)
+    for name in best:
+
+        def along(place: float, name: str = name) -> float:
+            return posterior(best | {name: _within(name, place)})
+
+        place, score = _climbed(along, math.log(best[name]), score, step)
+        best[name] = _within(name, place)
+    return best
 
 
 def _within(name: str, logarithm: float) -> float:

@@ -36,7 +36,7 @@ def test_the_likelihood_of_levels_is_that_of_the_problem_built_at_them(name: str
     known, path = solved()
     levels = replace(START, **{name: 1.7 * getattr(START, name)}) if name else START
     plain = fuse.score(fuse.cut(build(known, OPTIONS, levels, float(path[-1, 17])), 0, known.t.size, path))
-    assert fuse.likelihood_of(known, OPTIONS, path)(levels) == pytest.approx(plain, abs=1e-6)
+    assert fuse.likelihood_of(known, OPTIONS, path, fuse.TUNED)(levels) == pytest.approx(plain, abs=1e-6)
 
 
 @given(st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3), st.floats(-0.6, 0.6), st.floats(20.0, 500.0))
@@ -52,7 +52,7 @@ def test_the_top_of_a_likelihood_is_found_though_two_levels_are_coupled(
 
     prior = np.eye(3) / math.log(tune.PRIOR_FACTOR) ** 2
     right = np.linalg.solve(sharpness * away + prior, sharpness * away @ np.array(top))
-    found = tune.best_levels(START, NAMES, likelihood)
+    found = tune.best_levels(START, NAMES, likelihood, likelihood)
     reached = [math.log(getattr(found, n) / getattr(START, n)) for n in NAMES]
     assert reached[0] == pytest.approx(right[0], abs=0.04)
     # coordinate by coordinate (Gauss-Seidel) the error falls by the coupling at each: thrice in two sweeps; a step that
@@ -62,12 +62,12 @@ def test_the_top_of_a_likelihood_is_found_though_two_levels_are_coupled(
 
 
 def test_levels_that_the_data_do_not_tell_stay_where_physics_puts_them() -> None:
-    found = tune.best_levels(START, NAMES, lambda levels: 0.0)
+    found = tune.best_levels(START, NAMES, *[lambda levels: 0.0] * 2)
     assert [getattr(found, n) for n in NAMES] == pytest.approx([getattr(START, n) for n in NAMES], rel=1e-9)
 
 
 def test_a_level_does_not_leave_its_bounds() -> None:
-    found = tune.best_levels(START, ("wheel",), lambda levels: -1e4 * math.log(levels.wheel))
+    found = tune.best_levels(START, ("wheel",), *[lambda levels: -1e4 * math.log(levels.wheel)] * 2)
     assert found.wheel == pytest.approx(tune.BOUNDS["wheel"][0])
 
 
