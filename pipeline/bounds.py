@@ -116,20 +116,22 @@ def cell_r95(passes: Sequence[PassStatistics], response: str) -> dict[tuple[str,
     return found
 
 
-def pooled_spread(values: Floats, cells: Sequence[tuple[str, str]]) -> tuple[float, int]:
-    """Variance of the values pooled inside cells, and its degrees of freedom Σ(n_cell − 1).
+def pooled_spread(values: Floats, cells: Sequence[tuple[str, str]]) -> tuple[Floats, int]:
+    """Variance of the values (..., passes) pooled inside cells, (...), and its degrees of freedom Σ(n_cell − 1).
 
-    Without a repeated cell the spread over all passes is taken: it holds the cells' differences too, and
-    so is no
+    Without a repeated cell the spread over all passes is taken: it holds the cells' differences too, and so is no
     smaller on average.
     """
     values = np.asarray(values, dtype=np.float64)
-    groups = [values[[i for i, c in enumerate(cells) if c == cell]] for cell in dict.fromkeys(cells)]
-    dof = sum(g.size - 1 for g in groups)
-    if dof > 0:
-        return float(sum(((g - g.mean()) ** 2).sum() for g in groups) / dof), dof
-    dof = values.size - 1
-    return (float(np.var(values, ddof=1)), dof) if dof > 0 else (0.0, 0)
+    kinds = list(dict.fromkeys(cells))
+    inside = np.array([[cell == kind for kind in kinds] for cell in cells], dtype=np.float64)
+    if values.shape[-1] == len(kinds):
+        inside = np.ones((len(kinds), 1))
+    dof = values.shape[-1] - inside.shape[1]
+    if dof <= 0:
+        return np.zeros(values.shape[:-1]), 0
+    means = values @ (inside / inside.sum(axis=0))
+    return np.asarray(np.sum((values - means @ inside.T) ** 2, axis=-1) / dof), dof
 
 
 def summarise(passes: Sequence[PassStatistics], response: str) -> Summary:
@@ -147,7 +149,7 @@ def summarise(passes: Sequence[PassStatistics], response: str) -> Summary:
         mean_log=float(logs.mean()),
         mean_log_null=float(np.mean([0.5 * np.log(max(m.null_mse, 1e-300)) for m in members])),
         r95=float(np.exp(np.mean([np.log(ranges[p.cell]) for p in passes]))),
-        spread2=max(spread2, floor),
+        spread2=max(float(spread2), floor),
         spread_floor=floor,
         dof=dof,
         count=count,

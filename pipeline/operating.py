@@ -6,9 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .adequacy import ADEQUATE, INCONCLUSIVE, NOT_ADEQUATE, Facts, Rules, decide, facts_of
 from .bounds import PassStatistics, Summary, pooled_spread, summarise
+
+Floats = NDArray[np.float64]
 
 RATIOS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)  # true discrepancy over threshold
 REPEATS = 200
@@ -57,23 +60,46 @@ def _point(
     repeats: int,
 ) -> OperatingPoint:
     counts = dict.fromkeys((ADEQUATE, NOT_ADEQUATE, INCONCLUSIVE), 0)
-    for _ in range(repeats):
-        drawn, single = {}, {}
-        for name, summary in summaries.items():
-            drawn[name], single[name] = _drawn(summary, ratio * rules.threshold, cells, generator)
-        counts[decide(drawn, replace(facts, single=single), rules, "campaign").value] += 1
+    drawn = {
+        name: _drawn(summary, ratio * rules.threshold, cells, generator, repeats)
+        for name, summary in summaries.items()
+    }
+    for k in range(repeats):
+        single = {name: one.single[k] for name, one in drawn.items()}
+        now = {name: one.summary(summaries[name], k) for name, one in drawn.items()}
+        counts[decide(now, replace(facts, single=single), rules, "campaign").value] += 1
     return OperatingPoint(
         ratio, counts[ADEQUATE] / repeats, counts[NOT_ADEQUATE] / repeats, counts[INCONCLUSIVE] / repeats
     )
 
 
+@dataclass(frozen=True)
+class _Drawn:
+    """One response of simulated campaigns, each (repeats,): mean of ln √M, R95, spread; and each pass's own D, with no
+    run to name."""
+
+    mean_log: Floats
+    r95: Floats
+    spread2: Floats
+    single: list[list[tuple[float, str]]]
+
+    def summary(self, of: Summary, k: int) -> Summary:
+        """Of campaign k, in all else that of the real one."""
+        return replace(
+            of, mean_log=float(self.mean_log[k]), r95=float(self.r95[k]), spread2=float(self.spread2[k])
+        )
+
+
 def _drawn(
-    summary: Summary, true: float, cells: Sequence[tuple[str, str]], generator: np.random.Generator
-) -> tuple[Summary, list[tuple[float, str]]]:
-    """One response of one simulated campaign: its summary, and each pass's own discrepancy."""
+    summary: Summary,
+    true: float,
+    cells: Sequence[tuple[str, str]],
+    generator: np.random.Generator,
+    repeats: int,
+) -> _Drawn:
     expected = 0.5 * np.log((true * summary.r95) ** 2 + summary.u2)
-    logs = expected + np.sqrt(summary.spread2) * generator.standard_normal(len(cells))
-    r95 = summary.r95 * float(np.exp(np.sqrt(summary.log_r95_variance) * generator.standard_normal()))
-    spread2, _ = pooled_spread(logs, cells)
-    drawn = replace(summary, mean_log=float(logs.mean()), r95=r95, spread2=max(spread2, summary.spread_floor))
-    return drawn, [(float(d), "") for d in np.exp(logs) / r95]
+    logs = expected + np.sqrt(summary.spread2) * generator.standard_normal((repeats, len(cells)))
+    r95 = summary.r95 * np.exp(np.sqrt(summary.log_r95_variance) * generator.standard_normal(repeats))
+    spread2 = np.maximum(pooled_spread(logs, cells)[0], summary.spread_floor)
+    single = [[(d, "") for d in row] for row in (np.exp(logs) / r95[:, None]).tolist()]
+    return _Drawn(logs.mean(axis=1), r95, spread2, single)
