@@ -74,9 +74,8 @@ def modes_of(at: Smooth, p: Floats, doubt: Doubt, slope: Floats) -> Unseen:
     modes = [np.stack([mode, mode]) for mode in both]
     modes[2] += doubt.steep * pulled
     modes += [slope[:, None] * pulled, doubt.crab[0] * first, doubt.crab[1] * second]
-    return Unseen(
-        *(np.stack([mode[body] for mode in modes], axis=1) for body in (0, 1)), pulled[0], pulled[1]
-    )
+    tractor, seeder = (np.stack([mode[body] for mode in modes], axis=1) for body in (0, 1))
+    return Unseen(tractor, seeder, pulled[0], pulled[1])
 
 
 def crabbing(at: Smooth, p: Floats) -> tuple[Floats, Floats]:
