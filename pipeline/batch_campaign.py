@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from .batch_find import join
 from .batch_store import PASSES, open_store
+from .garbage import seldom_collected
 
 if TYPE_CHECKING:  # their modules are slow to import, and the batch's parent does without
     from .batch_table import Row
@@ -21,6 +22,7 @@ FAILURES = "failures.json"
 REPORT = "report.html"
 
 
+@seldom_collected()
 def summarise(
     out: str, runs: Sequence[str], failures: Sequence[Mapping[str, Any]], settings: CampaignSettings
 ) -> dict[str, Any]:

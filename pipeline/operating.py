@@ -65,7 +65,7 @@ def _point(
         for name, summary in summaries.items()
     }
     for k in range(repeats):
-        single = {name: one.single[k] for name, one in drawn.items()}
+        single = {name: [(float(one.worst[k]), "")] for name, one in drawn.items()}
         now = {name: one.summary(summaries[name], k) for name, one in drawn.items()}
         counts[decide(now, replace(facts, single=single), rules, "campaign").value] += 1
     return OperatingPoint(
@@ -75,13 +75,12 @@ def _point(
 
 @dataclass(frozen=True)
 class _Drawn:
-    """One response of simulated campaigns, each (repeats,): mean of ln √M, R95, spread; and each pass's own D, with no
-    run to name."""
+    """One response of simulated campaigns, each (repeats,): mean of ln √M, R95, spread, and the worst pass's own D."""
 
     mean_log: Floats
     r95: Floats
     spread2: Floats
-    single: list[list[tuple[float, str]]]
+    worst: Floats
 
     def summary(self, of: Summary, k: int) -> Summary:
         """Of campaign k, in all else that of the real one."""
@@ -101,5 +100,4 @@ def _drawn(
     logs = expected + np.sqrt(summary.spread2) * generator.standard_normal((repeats, len(cells)))
     r95 = summary.r95 * np.exp(np.sqrt(summary.log_r95_variance) * generator.standard_normal(repeats))
     spread2 = np.maximum(pooled_spread(logs, cells)[0], summary.spread_floor)
-    single = [[(d, "") for d in row] for row in (np.exp(logs) / r95[:, None]).tolist()]
-    return _Drawn(logs.mean(axis=1), r95, spread2, single)
+    return _Drawn(logs.mean(axis=1), r95, spread2, np.exp(logs.max(axis=1)) / r95)
