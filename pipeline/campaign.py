@@ -23,6 +23,7 @@ from .bounds import DEVIATION1, DEVIATION2, YAW1, YAW2, PassStatistics, Response
 from .campaign_settings import CampaignError, CampaignSettings
 from .campaign_spectra import BODIES, StoredDensity, version_spectra
 from .compare import run_labels
+from .cores import cores
 from .effects import Effects, effects_of
 from .ensemble import ensemble_values, make_ensemble
 from .findings import PAPER, discrepancy_values, verdict_values, warning_values
@@ -333,7 +334,7 @@ def version_ensemble(records: Sequence[PassRecord]) -> dict[str, Any]:
             for index, value in indices.items():
                 measured.setdefault(f"{response}.{index}", []).append(value)
     length = float(np.mean([r.row_length for r in records]))
-    return ensemble_values(make_ensemble(machine, speed, length), measured)
+    return ensemble_values(make_ensemble(machine, speed, length, threads=cores()), measured)
 
 
 def cell_values(records: Sequence[PassRecord], alpha: float) -> list[dict[str, Any]]:

@@ -20,6 +20,15 @@ from synthetic_motion import alone, machine_of, manifest_of
 FEW = replace(PLAN, seeds=24)
 
 
+def test_threads_that_share_the_runs_leave_every_run_as_it_is() -> None:
+    plan = replace(FEW, seeds=20)
+    one, two = (make_ensemble(machine_of(manifest_of()), 2.8, 40.0, plan, threads=n) for n in (1, 2))
+    assert one.diverged == two.diverged
+    for name, values in one.indices.items():
+        assert values.size == 20
+        np.testing.assert_array_equal(values, two.indices[name])
+
+
 def test_asking_an_ensemble_for_a_point_wise_discrepancy_is_an_error() -> None:
     ensemble = make_ensemble(machine_of(manifest_of()), 2.8, 80.0, FEW)
     with pytest.raises(EnsembleError, match="point-wise"):
