@@ -1,9 +1,10 @@
 """Batch speed: passes a minute in one worker process, in two, and on Dask with two workers.
 
-    python benchmarks/batch.py [--passes 24] [--seconds 60] [--workers 2]
+    python benchmarks/batch.py [--passes 24] [--seconds 60] [--workers 2] [--rounds 1]
 
 Synthetic raw passes are made first (not counted), and one is run so that compiled code is cached. To hold it to
-two cores: `taskset -c 0,1 python benchmarks/batch.py`.
+two cores: `taskset -c 0,1 python benchmarks/batch.py`. Rounds take the three by turns, and their medians come last: the
+speed of a machine that others share changes within minutes.
 Efficiency = time with one worker / (workers × time with that many). CPU seconds: of computing the passes, and of
 all processes (imports, campaign, Dask's own) over the passes.
 """
@@ -20,6 +21,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 
 import psutil
 from smts_validate.pipeline.cores import cores
@@ -85,14 +87,36 @@ def run(raw: Path, out: Path, *options: str) -> Timing:
     return Timing(wall, sum(event["cpu_seconds"] for event in done), cpu, len(done))
 
 
-def report(name: str, workers: int, timing: Timing, alone: Timing) -> None:
+def report(name: str, timing: Timing, efficiency: float) -> None:
     """One line of the table."""
-    efficiency = alone.wall / (workers * timing.wall)
     print(
         f"{name:<24}{timing.wall:8.1f} s{60.0 * timing.passes / timing.wall:9.1f} passes/min"
         f"{timing.cpu / timing.passes:8.2f} CPU s/pass ({timing.cpu_of_all / timing.passes:.2f} with all else)"
         f"   efficiency {efficiency:.2f}"
     )
+
+
+def one_round(raw: Path, folder: Path, workers: int) -> dict[str, tuple[int, Timing]]:
+    """Each way of running the passes once: its workers and its times."""
+    from distributed import LocalCluster
+
+    found = {
+        "1 process": (1, run(raw, folder / "one", "-j", "1")),
+        f"{workers} processes": (workers, run(raw, folder / "several", "-j", str(workers))),
+    }
+    with LocalCluster(
+        n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        dask = run(raw, folder / "dask", "--scheduler", cluster.scheduler_address)
+    return {**found, f"Dask, {workers} workers": (workers, dask)}
+
+
+def middle(timings: list[Timing]) -> Timing:
+    """Median of each figure."""
+    wall, cpu, everything = (
+        median(getattr(timing, name) for timing in timings) for name in ("wall", "cpu", "cpu_of_all")
+    )
+    return Timing(wall, cpu, everything, timings[0].passes)
 
 
 def main() -> None:
@@ -103,10 +127,9 @@ def main() -> None:
     parser.add_argument("--passes", type=int, default=24)
     parser.add_argument("--seconds", type=float, default=60.0, help="length of a pass")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--rounds", type=int, default=1)
     asked = parser.parse_args()
     os.environ.update(ONE_THREAD | FEWER_CHORES)  # before Dask is imported: it reads its settings then
-    from distributed import LocalCluster
-
     with tempfile.TemporaryDirectory(prefix="smts-bench-") as name:
         folder = Path(name)
         make_passes(folder, asked.passes, asked.seconds)
@@ -116,15 +139,19 @@ def main() -> None:
         print(
             f"{asked.passes} passes of {asked.seconds:g} s on {cores()} cores, whole command with campaign and reports"
         )
-        alone = run(raw, folder / "one", "-j", "1")
-        report("1 process", 1, alone, alone)
-        several = run(raw, folder / "several", "-j", str(asked.workers))
-        report(f"{asked.workers} processes", asked.workers, several, alone)
-        with LocalCluster(
-            n_workers=asked.workers, threads_per_worker=1, processes=True, dashboard_address=None
-        ) as cluster:
-            dask = run(raw, folder / "dask", "--scheduler", cluster.scheduler_address)
-        report(f"Dask, {asked.workers} workers", asked.workers, dask, alone)
+        times: dict[str, list[Timing]] = {}
+        shares: dict[str, list[float]] = {}
+        for k in range(asked.rounds):
+            found = one_round(raw, folder / f"round{k}", asked.workers)
+            alone = found["1 process"][1]
+            for title, (workers, timing) in found.items():
+                times.setdefault(title, []).append(timing)
+                shares.setdefault(title, []).append(alone.wall / (workers * timing.wall))
+                report(title, timing, shares[title][-1])
+        if asked.rounds > 1:
+            print(f"medians of {asked.rounds} rounds")
+            for title in times:
+                report(title, middle(times[title]), median(shares[title]))
 
 
 if __name__ == "__main__":
