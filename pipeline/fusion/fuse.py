@@ -37,7 +37,7 @@ from .settings import FusionSettings, Levels
 Floats = NDArray[np.float64]
 
 TUNED = 6_000  # nodes of motion that the levels are tuned on
-ROUGHLY_TUNED = 2_000
+ROUGHLY_TUNED = 2_000  # of them, that the first sweep over the levels does with
 MORE = 4  # relinearisations beyond those asked for, while the receiver is still refused at new places
 NAMES = tuple(f.name for f in fields(Levels))
 LEVEL_OF = {  # the level that a kind's variance grows with

@@ -83,7 +83,7 @@ def slip_velocity(m: Smooth) -> Floats:
     return np.asarray(m.x[:, s.SLIP1] + m.x[:, s.TURN1])
 
 
-def tractor_jacobian(m: Smooth, p: Floats) -> Floats:
+def tractor_jacobian(m: Smooth, p: Floats, unseen: Unseen) -> Floats:
     """d(x1, y1, yaw1, v1, v_lateral1, yaw_rate1)/d(kept state), (N, 6, kept)."""
     c, sn = np.cos(m.x[:, s.YAW1]), np.sin(m.x[:, s.YAW1])
     J = np.zeros((m.x.shape[0], BODY, len(KEPT)))
@@ -97,10 +97,11 @@ def tractor_jacobian(m: Smooth, p: Floats) -> Floats:
     J[:, 0, K_LAG] = m.x[:, s.V] * c - across * sn
     J[:, 1, K_LAG] = m.x[:, s.V] * sn + across * c
     J[:, 2, K_LAG] = m.rate1
+    J[:, :3, K_ROLL] += unseen.tractor_by_roll
     return J
 
 
-def seeder_jacobian(m: Smooth, p: Floats) -> Floats:
+def seeder_jacobian(m: Smooth, p: Floats, unseen: Unseen) -> Floats:
     """d(x2, y2, yaw2, v2, v_lateral2, yaw_rate2)/d(kept state), (N, 6, kept)."""
     c1, s1 = np.cos(m.x[:, s.YAW1]), np.sin(m.x[:, s.YAW1])
     c2, s2 = np.cos(m.x[:, s.YAW2]), np.sin(m.x[:, s.YAW2])
@@ -122,6 +123,7 @@ def seeder_jacobian(m: Smooth, p: Floats) -> Floats:
     J[:, 0, K_LAG] = m.x[:, s.V] * c1 - across * s1 + l5 * m.rate2 * s2
     J[:, 1, K_LAG] = m.x[:, s.V] * s1 + across * c1 - l5 * m.rate2 * c2
     J[:, 2, K_LAG] = m.rate2
+    J[:, :3, K_ROLL] += unseen.seeder_by_roll
     return J
 
 
@@ -148,9 +150,7 @@ def tractor_motion(m: Smooth, p: Floats, unseen: Unseen, lateral: Floats | None)
     c, sn = np.cos(x[:, s.YAW1]), np.sin(x[:, s.YAW1])
     forward = p[s.P_REAR] + p[s.P_SWAY] * np.sin(x[:, s.PITCH]) * np.cos(x[:, s.ROLL])
     left = -p[s.P_SWAY] * np.sin(x[:, s.ROLL])
-    J = tractor_jacobian(m, p)
-    J[:, :3, K_ROLL] += unseen.tractor_by_roll
-    C = _covariance(J, m.P, _slope_variance(p[s.P_GYRO1]), unseen.tractor)
+    C = _covariance(tractor_jacobian(m, p, unseen), m.P, _slope_variance(p[s.P_GYRO1]), unseen.tractor)
     return BodyMotion(
         x=x[:, s.X] + forward * c - left * sn,
         y=x[:, s.Y] + forward * sn + left * c,
@@ -174,9 +174,7 @@ def seeder_motion(m: Smooth, p: Floats, unseen: Unseen, lateral: Floats | None) 
     left = -p[s.P_SWAY2] * np.sin(m.roll2)
     bend = x[:, s.YAW1] - x[:, s.YAW2]
     across = slip_velocity(m) - p[s.P_HITCH] * m.rate1
-    J = seeder_jacobian(m, p)
-    J[:, :3, K_ROLL] += unseen.seeder_by_roll
-    C = _covariance(J, m.P, _slope_variance(p[s.P_GYRO2]), unseen.seeder)
+    C = _covariance(seeder_jacobian(m, p, unseen), m.P, _slope_variance(p[s.P_GYRO2]), unseen.seeder)
     return BodyMotion(
         x=x[:, s.X] - p[s.P_HITCH] * c1 + forward * c2 - left * s2,
         y=x[:, s.Y] - p[s.P_HITCH] * s1 + forward * s2 + left * c2,
@@ -199,12 +197,12 @@ def body_draws(
     at : the smoothed state at the draws' instants, and what is unseen there: one value of each mode a draw
     """
     size = rng.standard_normal((error.shape[2], unseen.tractor.shape[1]))
-    bodies = [(tractor_jacobian(at, p), unseen.tractor_by_roll, unseen.tractor)]
+    bodies = [(tractor_jacobian(at, p, unseen), unseen.tractor)]
     if seeder:
-        bodies.append((seeder_jacobian(at, p), unseen.seeder_by_roll, unseen.seeder))
-    found = []
-    for J, by_roll, modes in bodies:
-        J[:, :3, K_ROLL] += by_roll
-        seen = np.einsum("nik,nkd->dni", J[:, :3], error, optimize=True)
-        found.append(seen + np.einsum("dk,nki->dni", size, modes, optimize=True))
+        bodies.append((seeder_jacobian(at, p, unseen), unseen.seeder))
+    found = [
+        np.einsum("nik,nkd->dni", J[:, :3], error, optimize=True)
+        + np.einsum("dk,nki->dni", size, modes, optimize=True)
+        for J, modes in bodies
+    ]
     return np.ascontiguousarray(np.concatenate(found, axis=2))

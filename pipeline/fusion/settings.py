@@ -60,6 +60,7 @@ TAU_SLIP = 1.0  # s: yaw and slip of a tractor settle within about a second
 # lie under 1.96 times that
 COMPLIANCE = 0.0175
 COMPLIANCE_FAST = 0.01  # rad/(m/s²): what of it changes from second to second
+CRAB = 0.1  # share of a slip angle's deviation that stays all along a row, unseen: side forces average out
 TAU_TURN = 10.0  # s: a headland turn's slip stays as long as the turn
 DRAG = 0.08  # rad/rad: draft across the tractor when it is bent, 10 kN over 2 · 90 kN/rad, times the hitch's lever
 BEND_FROM = 0.03  # rad of articulation: a row stays below

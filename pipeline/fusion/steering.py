@@ -29,7 +29,6 @@ LEAST_SLIP = 0.001  # rad: of any tyre on soil
 FRONT_TIME = 1.0  # s, correlation of the front wheels' slip
 UNDERSTEER = 0.01  # rad/(m/s²): front over rear compliance, each 0.018 known to a factor of 1.5
 FRONT_DRAG = 0.03  # rad/rad: 10 kN of draft over 2 · 60 kN/rad, times the hitch's overhang over the wheelbase
-CRAB = 0.1  # share of the slip that stays all along a row, unseen, as for the bodies
 INTEGRATED_SCALE = physics.GYRO_SCALE * math.sqrt(2.0)  # rad/rad turned: the wheels' gyros less the body's
 WHITE = 0.0005  # rad, of a kinematic angle at one instant beside what the fusion states
 DOUBT, TIME_DOUBT = 3.0, 2.0  # factors: one standard deviation of the lognormal priors of slip and its time
@@ -248,5 +247,5 @@ def best_steering(
     slip, time, learnt = learnt_slip(apart, prior)
     error, variance = smooth_error(apart.z, apart.errors(slip, time))
     best = given.angle - np.interp(t, t[k], error)
-    constant = (CRAB * slip) ** 2 + (given.scale_sd * best) ** 2
+    constant = (physics.CRAB * slip) ** 2 + (given.scale_sd * best) ** 2
     return Steering(best, np.sqrt(np.interp(t, t[k], variance) + fast**2 + constant), slip, learnt)

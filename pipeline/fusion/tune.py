@@ -50,7 +50,6 @@ def best_levels(
 
     rough : likelihood of fewer data, for the first sweep, which has far to go
     """
-
     best = {name: float(getattr(start, name)) for name in free}
     for step, told in ((FIRST, rough), (THEN, likelihood)):
 
@@ -69,9 +68,13 @@ def _swept(
     best = dict(best)
     score = posterior(best)
     for name in best:
+        scores = {best[name]: score}  # at a bound both neighbours may be where the level is already
 
-        def along(place: float, name: str = name) -> float:
-            return posterior(best | {name: _within(name, place)})
+        def along(place: float, name: str = name, scores: dict[float, float] = scores) -> float:
+            value = _within(name, place)
+            if value not in scores:
+                scores[value] = posterior(best | {name: value})
+            return scores[value]
 
         place, score = _climbed(along, math.log(best[name]), score, step)
         best[name] = _within(name, place)

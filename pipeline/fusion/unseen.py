@@ -25,8 +25,6 @@ from .settings import Levels
 
 Floats = NDArray[np.float64]
 
-# Constant crab, unseen, as a share of the slip angle's standard deviation: side forces average out along a row.
-CRAB = 0.1
 SLOPE_WINDOW = 750  # nodes, 15 s: the slope of the ground, and not rocking, is what loads tyres for long
 
 
@@ -124,7 +122,7 @@ def constant_crab(machine: Machine, levels: Levels) -> tuple[float, float]:
     No sensor on a machine that crabs can see it. A share of the slip angles' own deviation, and as much as the
     manifest's draft, where it pulls aside, would make by the stated tyres: draft is known to no better.
     """
-    crab = CRAB * np.array([levels.beta1, levels.beta2])
+    crab = physics.CRAB * np.array([levels.beta1, levels.beta2])
     if machine.seeder is not None and machine.tyres.seeder is not None:
         tractor, seeder = machine.tractor, machine.seeder
         aside = seeder.draft * abs(math.sin(math.radians(seeder.draft_angle_deg)))

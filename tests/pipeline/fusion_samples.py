@@ -12,8 +12,7 @@ import numpy as np
 from smts_validate.pipeline.fusion.ground import STEEPEST
 from smts_validate.pipeline.fusion.motion import BodyMotion, Motion, Origin
 from smts_validate.pipeline.fusion.offsets import FACTOR
-from smts_validate.pipeline.fusion.settings import ACCEL_BIAS, LEVER_SD, SLOPE
-from smts_validate.pipeline.fusion.unseen import CRAB
+from smts_validate.pipeline.fusion.settings import ACCEL_BIAS, CRAB, LEVER_SD, SLOPE
 from smts_validate.pipeline.twin import make_pass, write_raw
 from smts_validate.pipeline.twin_plan import TwinPlan, preset, with_value
 from smts_validate.sensors.geodesy import to_enu
