@@ -20,6 +20,12 @@ PATIENCE = 20.0  # s
 PROCESS = "process"  # file that names the one at work
 
 
+@pytest.fixture(autouse=True)
+def nobody_left() -> None:
+    """The process of the test before, which a block dismisses without waiting, is gone before the next begins."""
+    psutil.wait_procs(psutil.Process().children(), timeout=PATIENCE)
+
+
 def test_another_process_makes_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = samples.pass_result()
     here = write_result(tmp_path / "here", result, report.finish)
